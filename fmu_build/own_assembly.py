@@ -37,10 +37,12 @@ def assembled(draft: Draft, residual: Sequence[casadi.SX], rhs: Sequence[casadi.
         (force,) = draft.evaluated(f"friction of '{each}'", slip, [each], scopes="qvp")
         equations[found.unknown] += draft.d[found.direction] * force
         frictions.append(found)
-    equations = casadi.vertcat(equations, draft.a[second : n - 1] - column(rhs), draft.a[n - 1])
+    rates = [*rhs, *[casadi.SX(0)] * draft.n_held]
+    equations = casadi.vertcat(equations, draft.a[second : n - 1] - column(rates), draft.a[n - 1])
     shown = _outputs(draft)
     everything = casadi.vertcat(*(value for _, value in shown))
     # the clock is there where something depends on it
+    constant = column([draft.v[second + k] for k, rate in enumerate(rates) if rate.is_zero()])
     numbers = column([draft.evaluated(f"event '{each}'", e.number, [each])[0] for each, e in draft.events.items()])
     has_clock = casadi.depends_on(casadi.vertcat(equations, everything, numbers), draft.time)
     kept = n if has_clock else n - 1
@@ -50,7 +52,8 @@ def assembled(draft: Draft, residual: Sequence[casadi.SX], rhs: Sequence[casadi.
     nominals = _nominals(draft)
     weights = [1 / each**2 for each in nominals]
     scale = [*weights[:second], *[0.0] * (kept - second), *weights[second:], *[0.0] * has_clock, 1.0]
-    begin = casadi.vertsplit(draft.p)[len(draft.given["p"]) :]
+    held = list(draft.given["x"].values())[len(draft.given["x"]) - draft.n_held :]
+    begin = [*casadi.vertsplit(draft.p)[len(draft.given["p"]) :], *(each.value for each in held)]
     start = column([*begin[:second], *[0.0] * (kept - second), *begin[second:], *[1.0] * has_clock])
     functions = contract_functions(
         motion,
@@ -61,6 +64,12 @@ def assembled(draft: Draft, residual: Sequence[casadi.SX], rhs: Sequence[casadi.
         casadi.SX(1.0),
         column(scale),
     )
+    # numbers that move at a constant rate between events: of time and of states that only events change
+    instants = [
+        not casadi.depends_on(number, casadi.vertcat(draft.y[: n - 1], draft.v, draft.a, draft.u))
+        and not casadi.depends_on(casadi.jacobian(number, draft.time), draft.time)
+        for number in casadi.vertsplit(casadi.substitute(numbers, constant, casadi.SX.zeros(constant.numel())))
+    ]
     if draft.events:
         functions = {**functions, **_event_functions(draft, numbers, motion)}
     zero_rates = casadi.substitute(casadi.jacobian(equations, motion.v), motion.v, casadi.SX.zeros(kept))
@@ -79,8 +88,10 @@ def assembled(draft: Draft, residual: Sequence[casadi.SX], rhs: Sequence[casadi.
         minimum_margin=0.0,
         frictions=tuple(frictions),
         events=tuple(
-            Event(draft.d.numel() - len(draft.events) + k, each.direction, each.reset is not None)
-            for k, each in enumerate(draft.events.values())
+            Event(
+                draft.d.numel() - len(draft.events) + k, each.direction, each.reset is not None, instant, each.at_start
+            )
+            for k, (each, instant) in enumerate(zip(draft.events.values(), instants, strict=True))
         ),
         is_damped=draft.n_first > 0 or casadi.sparsify(casadi.simplify(zero_rates)).nnz() > 0,
         first_order=draft.n_first,
@@ -210,7 +221,9 @@ def _parameters(draft: Draft) -> tuple[Variable, ...]:
         (f"start_rate.{each}", rate_unit(given.unit), f"Rate of {each} at the start", rate)
         for (each, given), rate in zip(q.items(), draft.start_by_name("rates"), strict=True)
     ]
-    starts += [(f"start.{each}", g.unit, f"Start of {each}", g.value) for each, g in x.items()]
+    starts += [
+        (f"start.{each}", x[each].unit, f"Start of {each}", x[each].value) for each in [*x][: len(x) - draft.n_held]
+    ]
     return (
         *_variables(draft, "p", "parameter"),
         *(Variable(name, unit, text, "parameter", start=value) for name, unit, text, value in starts),

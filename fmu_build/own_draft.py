@@ -11,8 +11,20 @@ from typing import Any
 import casadi
 import numpy as np
 
+from flexfmu.fmu_build.block_build import check_block
 from flexfmu.fmu_build.errors import ModelError
-from flexfmu.fmu_build.own_entries import Equation, Mechanics, Names, check_name, column, declared, event, variable
+from flexfmu.fmu_build.own_entries import (
+    Equation,
+    Mechanics,
+    Names,
+    check_name,
+    column,
+    declared,
+    event,
+    part,
+    variable,
+)
+from flexfmu.model.symbolic import SymbolicBlock
 
 SINGULAR = 1e-12
 """Ratio of the singular values of a matrix that counts as singular."""
@@ -36,6 +48,23 @@ SWITCHES = {
     }.items()
 }
 """Operations whose results jump; an integrator that steps over a jump loses its accuracy there."""
+
+
+def _block(what: str, source: Any) -> SymbolicBlock:
+    """The block of a part.
+
+    Raises:
+        ModelError: there is none, or it can't be in the FMU of a model.
+    """
+    block = getattr(source.block, "symbolic_block", source.block) if isinstance(source, part) else None
+    if not isinstance(block, SymbolicBlock):
+        raise ModelError(
+            f"{what} must be flexfmu.part of a SymbolicBlock or of a function with flexfmu.controller, got {source!r:.60}"
+        )
+    check_block(block)
+    if block.instants or block.c_files:
+        raise ModelError(f"{what} has C files or instants of its own; make it a slave beside the model")
+    return block
 
 
 class Draft:
@@ -63,15 +92,28 @@ class Draft:
         for scope, each in entries.items():
             if not isinstance(each, Mapping | None):
                 raise ModelError(f"{scope} of model '{name}' is a dict by name, got {each!r}")
-        derived, outputs, events, friction = (
-            dict(entries.pop(scope, None) or {}) for scope in ("derived", "outputs", "events", "friction")
+        derived, outputs, events, friction, parts = (
+            dict(entries.pop(scope, None) or {}) for scope in ("derived", "outputs", "events", "friction", "parts")
         )
+        # what parts hold are states behind the user's own, whose rate is zero and which samples reset
+        self.states, held, tuned = list(entries["x"] or {}), dict[str, variable](), dict[str, variable]()
+        for each, source in parts.items():
+            block = _block(f"part '{each}' of model '{name}'", source)
+            held |= {f"{each}.{one.name}": variable(0.0, one.unit) for one in block.outputs}
+            held |= {f"{each}.state[{k}]": variable(start) for k, start in enumerate(block.states, 1)}
+            held[f"{each}.samples"] = variable(0.0)
+            tuned |= {
+                f"{each}.{one.name}": variable(one.start, one.unit, minimum=one.minimum, maximum=one.maximum)
+                for one in block.parameters
+            }
+            events[f"{each}.sample"] = self._sample(each, source, block)
+        entries |= {"x": {**(entries["x"] or {}), **held}, "p": {**(entries["p"] or {}), **tuned}}
         self.given = {
             scope: {each: declared(scope, each, value) for each, value in (found or {}).items()}
             for scope, found in entries.items()
         }
         q, rates, x, z, u, p = self.given.values()
-        self.outputs, self.events = outputs, events
+        self.outputs, self.events, self.n_held = outputs, events, len(held)
         if not q and not x:
             raise ModelError(f"model '{name}' has no states; give at least one")
         own = [*q, *x, *z, *u, *p]
@@ -117,8 +159,8 @@ class Draft:
             "s": named("s", list(self.events), column(casadi.vertsplit(self.d)[constants + 2 * len(self.friction) :])),
             "t": self.time,
         }
-        # derived parameters as expressions of the others, which come first
-        self.p = casadi.SX.sym("p", len(p) + len(q) * 2 + len(x))
+        # derived parameters as expressions of the others, which come first; what parts hold starts where it does
+        self.p = casadi.SX.sym("p", len(p) + len(q) * 2 + len(x) - self.n_held)
         self.derived = column(casadi.vertsplit(self.p)[: len(p)])
         for each, source in derived.items():
             (value,) = self.evaluated(f"derived parameter '{each}'", source, [each], scopes="p", switches=True)
@@ -129,6 +171,28 @@ class Draft:
                 )
             self.derived = casadi.vertcat(self.derived, value)
         self.derived = column([*casadi.vertsplit(self.derived), *[0.0] * (len(self.friction) + len(self.events))])
+
+    def _sample(self, name: str, source: part, block: SymbolicBlock) -> event:
+        """The event at which a part samples: its outputs, next states and number of samples follow."""
+        inputs, outputs = ([each.name for each in some] for some in (block.inputs, block.outputs))
+
+        def own(scope: str, names: Sequence[str]) -> casadi.SX:
+            return column([self.scopes[scope][f"{name}.{each}"] for each in names])
+
+        def reset() -> dict[str, casadi.SX]:
+            u = column(
+                self.evaluated(f"inputs of part '{name}'", source.inputs, inputs, scopes="qvxupts", switches=True)
+            )
+            states = [f"state[{k}]" for k in range(1, len(block.states) + 1)]
+            arguments = own("x", states), u, own("p", [each.name for each in block.parameters])
+            after = casadi.floor((self.time - block.offset) / block.sample_time + 1e-6) + 1
+            values = casadi.vertsplit(casadi.vertcat(block.output(*arguments), block.update(*arguments), after))
+            return {f"{name}.{each}": value for each, value in zip([*outputs, *states, "samples"], values, strict=True)}
+
+        def number(x: Names, t: casadi.SX) -> casadi.SX:
+            return t - block.offset - block.sample_time * x[f"{name}.samples"]
+
+        return event(number, 1, reset, at_start=True)
 
     def evaluated(
         self,
@@ -238,6 +302,7 @@ class Draft:
         """An expression at the start, as a function of some of its symbols."""
         q, rates, x, u = (self.start_by_name(letter) for letter in ("q", "rates", "x", "u"))
         parameters = [value for letter in ("p", "q", "rates", "x") for value in self.start_by_name(letter)]
+        parameters = parameters[: self.p.numel()]
         derived = casadi.Function("d", [self.p], [self.derived])(parameters)
         y, v = [*q, *[0.0] * self.n_first, 0.0], [*rates, *x, 1.0]
         symbols = casadi.vertcat(self.y, self.v, self.u, self.d)

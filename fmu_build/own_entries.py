@@ -65,6 +65,7 @@ class event:  # noqa: N801 - written by users as a call
             ``s.NAME``.
         direction: of the passages that reset states: 1 upwards, -1 downwards, 0 both.
         reset: states behind the event by name, a function that gives a dict; others stay.
+        at_start: whether it happens at the start where its number is zero or above there.
 
     Raises:
         ModelError: the direction is none of these.
@@ -73,12 +74,33 @@ class event:  # noqa: N801 - written by users as a call
     number: Equation
     direction: int = 0
     reset: Equation = None
+    _: KW_ONLY
+    at_start: bool = False
 
     def __post_init__(self) -> None:
         if self.direction not in (-1, 0, 1):
             raise ModelError(
                 f"the direction of an event is 1 (upwards), -1 (downwards) or 0 (both), got {self.direction!r}"
             )
+
+
+@dataclass(frozen=True)
+class part:  # noqa: N801 - written by users as a call
+    """A discrete-time part in the FMU of a model: a controller that samples, for example.
+
+        parts={"pd": flexfmu.part(pd, lambda q, v: [q.angle, v.angle])}
+
+    At its sample instants offset + k sample_time it takes its inputs and sets its outputs, which are held in between. Equations, outputs
+    and other parts have these as states, ``x["pd.torque"]``; before the first instant they are zero. Parts that sample at the same
+    instant see each other's earlier outputs. A run that starts later starts with a sample.
+
+    Args:
+        block: a `flexfmu.model.symbolic.SymbolicBlock`, or a function with `flexfmu.controller` that CasADi can trace.
+        inputs: the block's inputs, a function of q, v, x, u, p and t, in their order or by name.
+    """
+
+    block: Any
+    inputs: Equation = ()
 
 
 class Names:
@@ -125,6 +147,8 @@ class Common(TypedDict, total=False):
     """Further output → function of the model's variables, or `variable` with one."""
     events: Mapping[str, event] | None
     """Event → `event`; equations and outputs may take ``s``, the sides."""
+    parts: Mapping[str, part] | None
+    """Part → `part`; its parameters are the model's, ``PART.PARAMETER``."""
     description: str
     """One sentence."""
 

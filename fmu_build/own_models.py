@@ -26,11 +26,11 @@ from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.interface import find_states
 from flexfmu.fmu_build.own_assembly import assembled
 from flexfmu.fmu_build.own_draft import SINGULAR, Draft
-from flexfmu.fmu_build.own_entries import Common, Equation, Mechanics, Names, column, event, variable
+from flexfmu.fmu_build.own_entries import Common, Equation, Mechanics, Names, column, event, part, variable
 from flexfmu.model.contract import Linearisation, LinearPlant
 from flexfmu.model.symbolic import SymbolicModel
 
-__all__ = ["dae", "event", "lagrangian", "linear_about", "ode", "second_order", "variable"]
+__all__ = ["dae", "event", "lagrangian", "linear_about", "ode", "part", "second_order", "variable"]
 
 RELAXATION = 1e4
 """Rate [1/s] at which the guess of a nonlinear constraint's solution follows it; far above the motions of most models."""
@@ -56,7 +56,7 @@ def ode(name: str, *, x: Mapping[str, Any], rhs: Equation, **common: Unpack[Comm
         ModelError: an equation, a name, a start value or a unit is wrong.
     """
     draft = Draft(name, x=x, **common)
-    return assembled(draft, [], draft.evaluated("rhs", rhs, list(x)))
+    return assembled(draft, [], draft.evaluated("rhs", rhs, draft.states))
 
 
 def second_order(
@@ -79,7 +79,7 @@ def second_order(
     """
     draft = Draft(name, q=q, **common)
     equations = draft.evaluated("residual", residual, list(q))
-    return assembled(draft, equations, draft.evaluated("rhs", rhs, list(draft.given["x"])))
+    return assembled(draft, equations, draft.evaluated("rhs", rhs, draft.states))
 
 
 def lagrangian(
@@ -119,7 +119,7 @@ def lagrangian(
     momentum = casadi.gradient(t_energy, v[:n])
     equations = casadi.jtimes(momentum, moved, rate) - casadi.gradient(t_energy - v_energy, y[:n])
     equations += casadi.gradient(rayleigh, v[:n]) - casadi.vertcat(*applied)
-    return assembled(draft, casadi.vertsplit(equations), draft.evaluated("rhs", rhs, list(draft.given["x"])))
+    return assembled(draft, casadi.vertsplit(equations), draft.evaluated("rhs", rhs, draft.states))
 
 
 def dae(

@@ -113,11 +113,15 @@ class Event:
         side: index in ``d`` of the number's sign, 1 or -1, set by the runtime; it changes at passages only.
         direction: of the passages that reset states: 1 upwards, -1 downwards, 0 both.
         has_reset: whether states are reset.
+        is_instant: whether the number moves at a constant rate between events, so that the time of the next one is known.
+        at_start: whether an event that is past at the start happens there, as samples do.
     """
 
     side: int
     direction: int
     has_reset: bool
+    is_instant: bool = False
+    at_start: bool = False
 
 
 @dataclass(frozen=True)

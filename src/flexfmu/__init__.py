@@ -33,7 +33,7 @@ _NAMES = {
     "cosim.metrics.stress": "link_stresses",
     "errors": "Error",
     "fmu_build.errors": "BuildError MissingCompilerError",
-    "fmu_build.own_models": "dae event lagrangian ode second_order variable",
+    "fmu_build.own_models": "dae event lagrangian ode part second_order variable",
     "model.scene.errors": "EquilibriumError SceneError SceneWarning",
     "model.scene.file": "load_scene",
     "model.scene.motor": "Motor",

@@ -45,6 +45,7 @@ from flexfmu.fmu_build.own_models import dae as dae
 from flexfmu.fmu_build.own_models import event as event
 from flexfmu.fmu_build.own_models import lagrangian as lagrangian
 from flexfmu.fmu_build.own_models import ode as ode
+from flexfmu.fmu_build.own_models import part as part
 from flexfmu.fmu_build.own_models import second_order as second_order
 from flexfmu.fmu_build.own_models import variable as variable
 from flexfmu.model.scene.errors import EquilibriumError as EquilibriumError

@@ -306,6 +306,58 @@ def test_events_are_met_exactly(case: str) -> None:
     assert abs(found[output] - exact).max() < 1e-5 * abs(exact).max()
 
 
+@flexfmu.controller(sample_time=0.07, offset=0.03, inputs=["x"], outputs=["u"], state=0.5)
+def integral(measurement: Any, state: Any, *, gain: float = 2.0) -> Any:
+    """Proportional and integral feedback."""
+    return [state[0] - gain * measurement[0]], [state[0] - 0.07 * measurement[0]]
+
+
+@flexfmu.controller(sample_time=0.1, inputs=["t"], outputs=["instant"])
+def watch(measurement: Any) -> Any:
+    """The time at which it samples."""
+    return measurement[0]
+
+
+def sampled() -> SymbolicModel:
+    """A first-order lag with its sampled controller, and a part that tells when it samples."""
+    return flexfmu.ode(
+        "sampled",
+        x={"x": 1.0},
+        rhs=lambda x: x["pi.u"] - x.x,
+        parts={"pi": flexfmu.part(integral, lambda x: [x.x]), "watch": flexfmu.part(watch, lambda t: [t])},
+    )
+
+
+def sampled_state(t: float) -> float:
+    """The same from sample to sample."""
+    x, u, state, last = 1.0, 0.0, 0.5, 0.0
+    for instant in 0.03 + 0.07 * np.arange(np.floor((t - 0.03) / 0.07 + 1e-9) + 1):
+        x, last = u + (x - u) * np.exp(last - instant), instant
+        u, state = state - 2.0 * x, state - 0.07 * x
+    return float(u + (x - u) * np.exp(last - t))
+
+
+def test_parts_sample_at_their_instants() -> None:
+    """To rounding, whatever the communication step; in model exchange they are time events; FMI 3.0 has the same bits."""
+    model, recordings = sampled(), []
+    for fmi in ("2", "3"):
+        path = build_fmu(model, step=0.11, stop_time=2.2, fmi=fmi).path
+        assert fmi == "3" or validate_fmu(path) == []
+        slave = flexfmu.slave(path, "model")
+        recordings.append(flexfmu.simulate([slave], stop_time=2.2, step=0.11, tolerance=1e-10).recording)
+    time, found = recordings[0].time, recordings[0]["model.x"].values
+    assert np.array_equal(found, recordings[1]["model.x"].values)
+    assert np.allclose(found, [sampled_state(t) for t in time], atol=1e-9)
+    instants = 0.1 * np.floor(time / 0.1 + 1e-9)
+    assert abs(recordings[0]["model.watch.instant"].values - instants).max() < 1e-14
+    exchanged = fmpy.simulate_fmu(
+        str(path), fmi_type="ModelExchange", solver="CVode", relative_tolerance=1e-9, stop_time=2.2, output_interval=0.11,
+        output=["x", "watch.instant"], record_events=False
+    )  # fmt: skip
+    assert np.allclose(exchanged["x"], [sampled_state(t) for t in exchanged["time"]], atol=1e-6)
+    assert abs(exchanged["watch.instant"] - 0.1 * np.floor(exchanged["time"] / 0.1 + 1e-9)).max() < 1e-14
+
+
 def test_bounces_that_accumulate_end_a_run() -> None:
     """With the reason, where they do: after nine times the first fall."""
     found = flexfmu.simulate(ball(), stop_time=10.0, step=0.05)
@@ -467,6 +519,8 @@ BAD: list[tuple[str, Callable[[], object]]] = [
     ("needs its end and communication step", lambda: flexfmu.sweep(flexfmu.ode("m", **GOOD), {"start.x": [1.0]}, step=0.1)),
     ("metrics is for scenes", lambda: flexfmu.sweep(flexfmu.ode("m", **GOOD), {"start.x": [1.0]}, metrics=["a"], stop_time=1.0, step=0.1)),
     ("are for models from equations", lambda: flexfmu.sweep("barnard2012-6kg", {"payload.mass": [1.0]}, step=1.0)),
+    ("part 'c' of model 'm' must be flexfmu.part of", lambda: flexfmu.ode("m", **GOOD, parts={"c": watch})),  # type: ignore[dict-item]
+    ("inputs of part 'c' of model 'm' gives 2", lambda: flexfmu.ode("m", **GOOD, parts={"c": flexfmu.part(watch, lambda x, t: [x.x, t])})),
     ("is for models from equations", lambda: flexfmu.build("barnard2012-6kg", step=1.0)),
 ]  # fmt: skip
 

@@ -185,6 +185,16 @@ class FunctionController:
                 values |= {f"{name}[{i}]": element for i, element in enumerate(value, start=1)}
         return joints.named_parameters(values, self.units)
 
+    @property
+    def symbolic_block(self) -> SymbolicBlock:
+        """The function as a block.
+
+        Raises:
+            NotSymbolicError: CasADi can't trace it.
+            InputError: the function fails, or returns wrong numbers of values.
+        """
+        return function_block(self)
+
     def changed(self, arguments: Mapping[str, Any]) -> FunctionController:
         """Return the controller with other parameters, sample time or offset.
 

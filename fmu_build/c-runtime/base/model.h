@@ -48,6 +48,8 @@ typedef struct {
   int side;      /* d[side]: 1 or -1, the number's sign, which changes at its passages only; `derive` leaves it at 0 */
   int direction; /* of the passages that reset states: 1 upwards, -1 downwards, 0 both */
   int has_reset;
+  int is_instant; /* it moves at a constant rate between events: the time of its next passage is known */
+  int at_start;   /* it passes at the start where it is beyond zero there already: a sample */
 } flex_event;
 
 /* a matrix whose entries are stored by columns without most zeros, and its factors in the place of these */

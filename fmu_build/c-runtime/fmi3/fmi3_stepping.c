@@ -121,8 +121,11 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
   if (lacks) return fmi3Error;
 
   int states_changed = 0, is_exchange = ours->session.kind == EXCHANGE;
-  if (flex_backend_handle_event(ours->backend, is_exchange, &states_changed)) return flex_log_refusal(ours);
+  double next = HUGE_VAL;
+  if (flex_backend_handle_event(ours->backend, is_exchange, &states_changed, &next)) return flex_log_refusal(ours);
   for (size_t i = 0; i < sizeof flags / sizeof *flags; i++) *flags[i] = fmi3False;
   *valuesOfContinuousStatesChanged = states_changed != 0;
+  *nextEventTimeDefined = next < HUGE_VAL;
+  if (*nextEventTimeDefined) *nextEventTime = next;
   return fmi3OK;
 }

@@ -1,8 +1,10 @@
 /* A plant behind the FMI layer. */
+#include <math.h>
 #include <stdio.h>
 
 #include "backend.h"
 #include "directional.h"
+#include "events.h"
 #include "model_exchange.h"
 #include "state_space.h"
 #include "variables.h"
@@ -183,11 +185,15 @@ int flex_backend_get_indicators(flex_backend *backend, double *indicators) {
   return explained(backend, "computing event indicators", flex_plant_indicators(plant_of(backend), indicators));
 }
 
-int flex_backend_handle_event(flex_backend *backend, int is_exchange, int *states_changed) {
+int flex_backend_handle_event(flex_backend *backend, int is_exchange, int *states_changed, double *next) {
   flex_plant *plant = plant_of(backend);
   *states_changed = 0;
+  *next = HUGE_VAL;
   if (!is_exchange && !plant->record->integrator.at_event) return 0;
-  return explained(backend, "event", flex_plant_settle(plant, is_exchange, states_changed));
+  flex_failure failure = flex_plant_settle(plant, is_exchange, states_changed);
+  if (failure.outcome == FLEX_DONE && is_exchange)
+    *next = flex_events_next(&plant->integrator, plant->u, plant->record->time);
+  return explained(backend, "event", failure);
 }
 
 int flex_backend_has_event(flex_backend *backend) {

@@ -60,8 +60,23 @@ flex_outcome flex_events_least(const flex_integrator *integrator, const double *
   if (equations->model->n_events == 0) return FLEX_DONE;
   flex_outcome outcome = evaluate_events(integrator, y, v, a, u);
   for (int k = 0; outcome == FLEX_DONE && k < equations->model->n_events; k++)
-    *least = fmin(*least, event_number(equations, k));
+    if (!equations->model->events[k].is_instant) *least = fmin(*least, event_number(equations, k));
   return outcome;
+}
+
+double flex_events_next(const flex_integrator *integrator, const double *u, double time) {
+  const flex_equations *equations = integrator->stages.equations;
+  const flex_model *model = equations->model;
+  double next = HUGE_VAL;
+  int count = 0;
+  for (int k = 0; k < model->n_events; k++) count += model->events[k].is_instant;
+  if (count == 0 || evaluate_events(integrator, integrator->y, integrator->v, integrator->a, u) != FLEX_DONE) return next;
+  for (int k = 0; k < model->n_events; k++) {
+    double rate = equations->crossings[model->n_events + k];
+    if (model->events[k].is_instant && event_side(equations, k) * rate < 0.0)
+      next = fmin(next, time - equations->crossings[k] / rate);
+  }
+  return next;
 }
 
 // which numbers have passed, and whether a reset belongs to them; those without change sides
@@ -72,7 +87,8 @@ static flex_outcome find_passages(flex_equations *equations, double *fired, int 
     double side = event_side(equations, k), g = equations->crossings[k], rate = equations->crossings[model->n_events + k];
     fired[k] = 0.0;
     if (side == 0.0) {
-      set_event_side(equations, k, g > 0.0 || (g == 0.0 && rate >= 0.0) ? 1.0 : -1.0);
+      int is_past = model->events[k].at_start && g >= 0.0;
+      set_event_side(equations, k, !is_past && (g > 0.0 || (g == 0.0 && rate >= 0.0)) ? 1.0 : -1.0);
       *passages = 1;
       continue;
     }

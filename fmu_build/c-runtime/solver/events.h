@@ -11,6 +11,9 @@
 flex_outcome flex_events_least(const flex_integrator *integrator, const real *y, const real *v, const real *a,
                                const real *u, double *least);
 
+/* when the next of the numbers that move at a constant rate passes zero; HUGE_VAL if none does */
+double flex_events_next(const flex_integrator *integrator, const real *u, double time);
+
 /* sides at the present point, whose acceleration is there, and resets of what has passed through zero; *changed = 1 if there was one */
 flex_outcome flex_events_settle(flex_integrator *integrator, const real *u, int *changed);
 

@@ -23,6 +23,9 @@
 #define RATE_HYSTERESIS 1e-6
 #define FORCE_HYSTERESIS 1e-9
 
+/* a step that ends so little before an instant [s] has come to it */
+#define AT_INSTANT 5e-10
+
 /* so often a step is looked at: links may swing within it */
 #define LOOKS 4
 
@@ -241,16 +244,25 @@ flex_outcome flex_friction_step(flex_integrator *integrator, double t, double *h
   bracket event;
   int side = 0, stopped = 0, is_certain = 0;
 
-  // the step as if there were no event, and a look at it
+  // not beyond an instant
+  if (equations->model->n_events > 0) flex_inputs_evaluate(integrator->stages.inputs, t, 0.0, integrator->end_u);
+  double ahead = flex_events_next(integrator, integrator->end_u, t) - t, at_end = -1.0;
+  int lands = ahead < *h + AT_INSTANT;
+  if (lands) *h = fmin(*h, ahead);
+  double landing = *h;
+
+  // the step as if there were no other event, and a look at it
   flex_outcome outcome = integrator->step(integrator, t, *h, allowed, value);
   if (outcome != FLEX_DONE) return outcome;
   outcome = look(integrator, t, *h, &event);
   if (outcome != FLEX_DONE) return flex_step_reject(integrator, &before, FLEX_FAILED_SHRINK * *h, outcome);
-  if (event.high == 0.0) return FLEX_DONE;
+  if (event.high == 0.0 && !lands) return FLEX_DONE;
 
   // the same step, ending at the event
-  double least = 4.0 * DBL_EPSILON * fabs(t) + 1e-13 * *h, at_end;
-  for (int trial = 0;; trial++) {
+  double least = 4.0 * DBL_EPSILON * fabs(t) + 1e-13 * *h;
+  if (event.high == 0.0) outcome = look_at_end(integrator, t, *h, &at_end), at_end = -1.0;
+  if (outcome != FLEX_DONE) return flex_step_reject(integrator, &before, FLEX_FAILED_SHRINK * *h, outcome);
+  for (int trial = 0; event.high > 0.0; trial++) {
     // what only the interpolation has seen may be no event: the second trial asks
     int is_last = event.high - event.low <= least || trial >= MOST_TRIALS, asks = trial == 1 && !is_certain;
     double next = is_last || asks ? event.high : next_trial(&event);
@@ -271,7 +283,8 @@ flex_outcome flex_friction_step(flex_integrator *integrator, double t, double *h
   }
 
   // modes behind the event, unless the importer asks for them; where they cannot be found, everything is as before the step
-  if (at_end >= 0.0) return FLEX_DONE;
+  if (at_end >= 0.0 && !(lands && *h == landing)) return FLEX_DONE;
+  if (equations->model->has_clock) integrator->y[integrator->n - 1] = t + *h, integrator->y_rest[integrator->n - 1] = 0.0;
   integrator->record->at_event = integrator->stops_at_events;
   if (integrator->stops_at_events) return FLEX_DONE;
   outcome = flex_friction_settle(integrator, integrator->end_u, &stopped);
