@@ -94,6 +94,13 @@ EXPECTED: dict[str, Check] = {
     "own_slider_crank.py": figures("drifts by", lambda *drifts: max(drifts) < 1e-8),
     # the rod at rest is a fin
     "own_heat_rod.py": lambda lines, n: columns(lines[-2]) == pytest.approx(columns(lines[-1]), abs=0.05),
+    # the last bounce of which the ball rises faster than 0.05 m/s is the 20th; the next one ends its motion
+    "own_bouncing_ball.py": lambda lines, n: (
+        lines[0].startswith("21 bounces until 4.022") and value(lines[0], "within") < 1e-7
+    ),
+    "own_belt_drive.py": lambda lines, n: (
+        10.0 < value(lines[0], "joint 1") < 40.0 and value(lines[1], "within") < 1e-12
+    ),
     "run_scene.py": lambda lines, n: "reached its stop time" in lines[0] and lines[-1] == "wrote results.csv",
     # three motors for both joints; the smallest lacks peak torque, the two others fit
     "choose_motor.py": lambda lines, n: (
@@ -284,6 +291,7 @@ EXPECTED: dict[str, Check] = {
 
 LEFT = {
     "controller_fmu.py": "fmus/pd.fmu",
+    "own_belt_drive.py": "drive.fmu driven.ssp",
     "custom_function.py": "fmus/own_pid.fmu",
     "export_slaves.py": "fmus/trajectory.fmu fmus/plant.fmu fmus/pd.fmu",
     "run_scene.py": "results.csv",
