@@ -44,7 +44,7 @@ BUILD: dict[str, Callable[[FmiVersion], Path]] = {
     "torque-driven robot": lambda fmi: build_scene(scene("torque"), fmi=fmi).path,
     "equations": lambda fmi: build_fmu(BALL, fmi=fmi).path,
     "block": lambda fmi: build_fmu(pd_controller(), fmi=fmi).path,
-    "trajectory": lambda fmi: build_fmu(Motion(Swing(), ["axis"], "m"), fmi=fmi).path,  # type: ignore[arg-type]
+    "trajectory": lambda fmi: build_fmu(Motion(Swing(kink=0.0123), ["axis"], "m"), fmi=fmi).path,  # type: ignore[arg-type]
 }
 EXCHANGED = ("robot", "torque-driven robot", "equations")
 
@@ -79,19 +79,48 @@ def test_both_versions_give_the_same_bits(name: str) -> None:
         np.testing.assert_array_equal(one.first, other.first)
 
 
-@pytest.mark.parametrize("name", ["torque-driven robot", "equations"])
-def test_steps_end_at_events(name: str) -> None:
+def in_fmpy(path: Path, folder: Path) -> tuple[FMU3Slave, dict[str, int]]:
+    """An FMU of FMI 3.0 in fmpy, not instantiated, and its value references."""
+    description, unpacked = fmpy.read_model_description(str(path)), fmpy.extract(str(path), str(folder))
+    names = {"guid": description.guid, "modelIdentifier": description.coSimulation.modelIdentifier}
+    references = {each.name: each.valueReference for each in description.modelVariables}
+    return FMU3Slave(**names, unzipDirectory=unpacked, instanceName="one"), references
+
+
+@pytest.fixture
+def instance(tmp_path: Path) -> Iterator[tuple[FMU3Slave, dict[str, int]]]:
+    """A robot of FMI 3.0 in fmpy, with event mode, and its value references."""
+    slave, references = in_fmpy(BUILD["torque-driven robot"]("3"), tmp_path)
+    slave.instantiate(eventModeUsed=True, logMessage=lambda *_: None)
+    yield slave, references
+    slave.freeInstance()
+
+
+@pytest.mark.parametrize("name", ["torque-driven robot", "equations", "trajectory"])
+def test_steps_end_at_events(name: str, tmp_path: Path) -> None:
     """Where the importer allows it, with both sides of each event; between them all is as in steps that handle them, to the last bit."""
     path = BUILD[name]("3")
     inside = by_fmpy(path, "CoSimulation", load=3.0)
-    assert inside.tobytes() == by_fmpy(path, "CoSimulation", load=3.0, use_event_mode=True).tobytes()
+    # the start is a breakpoint
+    assert inside[1:].tobytes() == by_fmpy(path, "CoSimulation", load=3.0, use_event_mode=True)[1:].tobytes()
     early = by_fmpy(path, "CoSimulation", load=3.0, use_event_mode=True, early_return_allowed=True)
-    assert early[np.isin(early["time"], inside["time"])].tobytes() == inside.tobytes()
+    assert early[np.isin(early["time"], inside["time"])][1:].tobytes() == inside[1:].tobytes()
     after = np.flatnonzero(np.diff(early["time"]) == 0.0) + 1
     assert after.size
     if name == "equations":
         assert early["time"][after].tolist() == pytest.approx([(2e-3 / 9.81) ** 0.5], rel=1e-8)
         assert early["der(height)"][after].tolist() == pytest.approx(-0.8 * early["der(height)"][after - 1], rel=1e-12)
+    if name == "trajectory":
+        assert early["time"][after].tolist() == [0.0123]
+        slave, _ = in_fmpy(path, tmp_path)
+        slave.instantiate(eventModeUsed=True)
+        slave.enterInitializationMode()
+        slave.exitInitializationMode()
+        assert slave.updateDiscreteStates()[-2:] == (True, 0.0123)
+        slave.freeInstance()
+        velocity = early["axis.reference.velocity"]
+        sides = 9.0 * np.cos(9.0 * 0.0123) * np.array([1.0, -1.0])
+        assert [velocity[after - 1][0], velocity[after][0]] == pytest.approx(sides)
 
 
 @pytest.mark.parametrize("name", BUILD)
@@ -122,18 +151,6 @@ def test_input_derivatives_are_arrays(tmp_path: Path) -> None:
         ends.append([column.values for name, column in run.recording.columns.items() if name.startswith("plant.")])
     np.testing.assert_array_equal(ends[0], ends[1])
     assert not np.array_equal(ends[0], ends[2])
-
-
-@pytest.fixture
-def instance(tmp_path: Path) -> Iterator[tuple[FMU3Slave, dict[str, int]]]:
-    """A robot of FMI 3.0 in fmpy, with event mode, and its value references."""
-    path = BUILD["torque-driven robot"]("3")
-    description = fmpy.read_model_description(str(path))
-    identifier, folder = description.coSimulation.modelIdentifier, fmpy.extract(str(path), str(tmp_path))
-    slave = FMU3Slave(guid=description.guid, modelIdentifier=identifier, unzipDirectory=folder, instanceName="robot")
-    slave.instantiate(eventModeUsed=True, logMessage=lambda *_: None)
-    yield slave, {each.name: each.valueReference for each in description.modelVariables}
-    slave.freeInstance()
 
 
 def test_adjoint_derivatives_are_the_transpose(instance: tuple[FMU3Slave, dict[str, int]]) -> None:
@@ -182,11 +199,7 @@ def test_intermediate_updates_are_as_good_as_derivatives(tmp_path: Path) -> None
     """x'' + 400 x = sin 30 t in steps of 10 ms: inputs that are set within steps come nearer to the closed form than their derivatives of orders
     1 to 4 do, a thousand times nearer than held ones. What is read in between is right, too, and a step ends where the importer says."""
     path, stop, size = build_fmu(FORCED, fmi="3").path, 0.5, 0.01
-    description, folder = fmpy.read_model_description(str(path)), fmpy.extract(str(path), str(tmp_path))
-    reference = {each.name: each.valueReference for each in description.modelVariables}
-    assert description.coSimulation.providesIntermediateUpdate
-    names = {"guid": description.guid, "modelIdentifier": description.coSimulation.modelIdentifier}
-    slave: FMU3Slave | None = None
+    slave, reference = in_fmpy(path, tmp_path)
     calls: list[tuple[bool, ...]] = []
 
     def exact(time: float) -> float:
@@ -204,7 +217,7 @@ def test_intermediate_updates_are_as_good_as_derivatives(tmp_path: Path) -> None
 
     def error(needed: str, *orders: int) -> float:
         nonlocal slave
-        slave = FMU3Slave(**names, unzipDirectory=folder, instanceName="forced")
+        slave, _ = in_fmpy(path, tmp_path / f"{needed}{len(orders)}")
         slave.instantiate(
             earlyReturnAllowed=True,
             intermediateUpdate=update,
@@ -240,17 +253,13 @@ def test_intermediate_updates_are_as_good_as_derivatives(tmp_path: Path) -> None
 def test_blocks_sample_at_ticks(tmp_path: Path) -> None:
     """A block's outputs in a tick are those of the inputs that are set in it, however often. A tick
     between its instants is refused."""
-    path = BUILD["block"]("3")
-    description, folder = fmpy.read_model_description(str(path)), fmpy.extract(str(path), str(tmp_path))
-    reference = {each.name: each.valueReference for each in description.modelVariables}
-    clock, identifier = reference["clock"], description.coSimulation.modelIdentifier
-    slave = FMU3Slave(guid=description.guid, modelIdentifier=identifier, unzipDirectory=folder, instanceName="block")
+    slave, reference = in_fmpy(BUILD["block"]("3"), tmp_path)
     slave.instantiate(eventModeUsed=True, logMessage=lambda *_: None)
     slave.enterInitializationMode()
     slave.exitInitializationMode()
 
     def output(value: float) -> float:
-        slave.fmi3SetClock(slave.component, (c_uint * 1)(clock), 1, (c_bool * 1)(True))
+        slave.fmi3SetClock(slave.component, (c_uint * 1)(reference["clock"]), 1, (c_bool * 1)(True))
         slave.setFloat64([reference["in1"]], [value])
         return float(slave.getFloat64([reference["out1"]])[0])
 

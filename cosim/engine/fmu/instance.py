@@ -442,7 +442,8 @@ class Fmi3Instance(Instance):
 
     def __init__(self, fmu: UnpackedFmu) -> None:
         super().__init__(fmu)
-        self._has_events = fmu.kind != "CoSimulation" or bool(fmu.interface.hasEventMode)
+        # the breakpoints of an exported trajectory are stated, and all steps end there
+        self._has_events = fmu.kind != "CoSimulation" or bool(fmu.interface.hasEventMode and fmu.breakpoints is None)
         self._returns_early = bool(getattr(fmu.interface, "mightReturnEarlyFromDoStep", False))
         self._regular = fmu.needs_regular_steps
         folder = fmu.folder / "resources"

@@ -77,6 +77,10 @@ int flex_backend_advance(flex_backend *backend, double t0, double t1, int *event
   return flex_block_advance(block_of(backend), t0, t1);
 }
 
+int flex_backend_handle_event(flex_backend *backend, int is_exchange, int *states_changed, double *next) {
+  return (void)backend, (void)is_exchange, (void)states_changed, (void)next, 0;
+}
+
 static int is_known(flex_block *block, unsigned index) {
   const flex_block_model *model = block->model;
   return !flex_refuse_reference(block->message, index, model->n_inputs + model->n_parameters + model->n_outputs);

@@ -54,6 +54,10 @@ int flex_backend_begin(flex_backend *backend);
  * first of them if there is a place to say so */
 int flex_backend_advance(flex_backend *backend, double t0, double t1, int *event);
 
+/* an event, found by an importer that integrates or by a step that ended there: *states_changed = 1 if it changes the states, *next
+ * becomes the time of the next one where it is known */
+int flex_backend_handle_event(flex_backend *backend, int is_exchange, int *states_changed, double *next);
+
 /* variables by value reference, with checks; where one is refused, nothing has changed. What importers ask for by dozens in
  * every step comes in arrays: those before the refused one are done */
 int flex_backend_get_reals(flex_backend *backend, const unsigned *index, size_t count, double *value);

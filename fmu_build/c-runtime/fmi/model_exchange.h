@@ -15,12 +15,9 @@ void flex_backend_set_states(flex_backend *backend, const double *x);
 int flex_backend_get_states(flex_backend *backend, double *x);
 int flex_backend_get_state_rates(flex_backend *backend, double *rates);
 
-/* number of event indicators; their values, and an event, found by an importer that integrates or by steps that end there:
- * *states_changed = 1 if it changes the states, and the time of the next one, HUGE_VAL where it isn't known; 0, or 1 with a
- * sentence in `message` */
+/* number of event indicators; their values; 0, or 1 with a sentence in `message` */
 size_t flex_backend_indicators(void);
 int flex_backend_get_indicators(flex_backend *backend, double *indicators);
-int flex_backend_handle_event(flex_backend *backend, int is_exchange, int *states_changed, double *next);
 
 /* whether an event has happened at the present point */
 int flex_backend_has_event(flex_backend *backend);

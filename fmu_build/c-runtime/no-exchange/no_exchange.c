@@ -8,9 +8,6 @@ void flex_backend_set_states(flex_backend *backend, const double *x) { (void)bac
 int flex_backend_get_states(flex_backend *backend, double *x) { return (void)backend, (void)x, 0; }
 int flex_backend_get_state_rates(flex_backend *backend, double *rates) { return (void)backend, (void)rates, 0; }
 int flex_backend_get_indicators(flex_backend *backend, double *indicators) { return (void)backend, (void)indicators, 0; }
-int flex_backend_handle_event(flex_backend *backend, int is_exchange, int *states_changed, double *next) {
-  return (void)backend, (void)is_exchange, (void)next, *states_changed = 0;
-}
 int flex_backend_has_event(flex_backend *backend) { return (void)backend, 0; }
 int flex_backend_check_point(flex_backend *backend) { return (void)backend, 0; }
 double flex_backend_state_nominal(size_t index) { return (void)index, 1.0; }

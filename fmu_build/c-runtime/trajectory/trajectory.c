@@ -1,5 +1,6 @@
 #include "trajectory.h"
 
+#include <math.h>
 #include <string.h>
 
 enum { ENDS = FLEX_END_ORDER + 1, TERMS = 2 * ENDS };
@@ -43,6 +44,12 @@ double flex_trajectory_landing(const flex_trajectory_model *model, double time, 
     found = 1;
   }
   return landing;
+}
+
+double flex_trajectory_next(const flex_trajectory_model *model, double time) {
+  for (int i = count_knots(model, time, 1); i < model->n_knots; i++)
+    if (is_breakpoint(model, i)) return model->times[i];
+  return HUGE_VAL;
 }
 
 // coefficients of the polynomial in s between normalised derivatives at s = 0 and s = 1

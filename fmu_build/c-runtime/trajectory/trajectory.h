@@ -11,6 +11,9 @@ typedef enum { FLEX_LEFT = 1, FLEX_RIGHT = 2 } flex_limit;
  * the time itself */
 double flex_trajectory_landing(const flex_trajectory_model *model, double time, double slack, flex_limit limit);
 
+/* the first breakpoint after a time, HUGE_VAL behind the last */
+double flex_trajectory_next(const flex_trajectory_model *model, double time);
+
 /* outputs and their derivatives up to FLEX_END_ORDER at a time: (FLEX_END_ORDER + 1) x FLEX_KINDS x n_axes */
 void flex_trajectory_evaluate(const flex_trajectory_model *model, double time, flex_limit limit, double *signals);
 

@@ -15,7 +15,7 @@ typedef struct {
   double time;        /* [s] */
   double left, right; /* where the limits are taken: the time, or breakpoints that are the same instant */
   int limit;
-  int unused;
+  int passed; /* 1 = event mode has passed the present instant: right limits are shown */
 } trajectory_record;
 
 typedef struct {
@@ -82,7 +82,7 @@ static void go_to(trajectory_backend *backend, double time, double slack) {
 
 void flex_backend_reset(flex_backend *backend) {
   whole(backend)->record->limit = FLEX_LEFT;
-  whole(backend)->record->unused = 0;
+  whole(backend)->record->passed = 0;
   go_to(whole(backend), 0.0, 0.0);
 }
 
@@ -105,20 +105,30 @@ int flex_backend_begin(flex_backend *backend) {
 }
 
 int flex_backend_advance(flex_backend *backend, double t0, double t1, int *event) {
-  (void)event;
-  go_to(whole(backend), t1, flex_time_slack(t1, t1 - t0));
+  double slack = flex_time_slack(t1, t1 - t0), next = flex_trajectory_next(&flex_the_trajectory, t0 + slack);
+  if (event) *event = next <= t1 + slack;
+  whole(backend)->record->passed = 0;
+  go_to(whole(backend), event && next < t1 - slack ? next : t1, slack);
+  return 0;
+}
+
+int flex_backend_handle_event(flex_backend *backend, int is_exchange, int *states_changed, double *next) {
+  (void)is_exchange, (void)states_changed;
+  whole(backend)->record->passed = 1;
+  *next = flex_trajectory_next(&flex_the_trajectory, *backend->time + flex_time_slack(*backend->time, 0.0));
   return 0;
 }
 
 // an output or one of its derivatives, evaluated together with all others
 static double signal(trajectory_backend *backend, int order, unsigned index) {
   const trajectory_record *record = backend->record, *shown = backend->shown;
-  flex_limit limit = (flex_limit)record->limit;
+  flex_limit limit = record->passed ? FLEX_RIGHT : (flex_limit)record->limit;
   double time = limit == FLEX_LEFT ? record->left : record->right;
   double shown_time = shown->limit == FLEX_LEFT ? shown->left : shown->right;
-  if (!backend->is_evaluated || shown->limit != record->limit || shown_time != time) {
+  if (!backend->is_evaluated || shown->limit != (int)limit || shown_time != time) {
     flex_trajectory_evaluate(&flex_the_trajectory, time, limit, backend->signals);
     *backend->shown = *record;
+    backend->shown->limit = (int)limit;
     backend->is_evaluated = 1;
   }
   return backend->signals[(unsigned)(order * n_outputs()) + index];
