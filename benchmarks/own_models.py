@@ -4,7 +4,10 @@ Both integrate from the same expressions to the same points, at tolerances of 1e
 these. Errors are the largest of any state at any point, relative to the largest value of the state there; the reference is SciPy's Radau or
 DOP853 at 1e-13. Times are processor times of the integration alone, the least of several.
 
-    python benchmarks/own_models.py [--error 1e-6] [--only vdp1000,cart_pole]
+    python benchmarks/own_models.py [--error 1e-6] [--only vdp1000,cart_pole] [--same-tolerance]
+
+With ``--same-tolerance`` it prints our error divided by that of CVODES at the same tolerance, for 1e-3 to 1e-10, or by the tolerance where
+there is no CVODES.
 
 Sources: Hairer and Wanner, Solving Ordinary Differential Equations II, sec. IV.1 and IV.10; Hindmarsh et al., SUNDIALS, ACM Trans. Math.
 Softw. 31 (2005).
@@ -34,6 +37,7 @@ import flexfmu
 EXAMPLES = Path(__file__).parents[1] / "examples"
 POINTS, ENOUGH, REPEATED = 20, 0.05, 3
 TOLERANCES = 10.0 ** np.arange(-3.0, -12.1, -0.5)
+DECADES = [float(each) for each in TOLERANCES[:15:2]]
 
 
 @dataclass(frozen=True)
@@ -184,7 +188,7 @@ def timed(run: Callable[[], Any]) -> tuple[Any, float]:
     return result, least
 
 
-def ours(problem: Problem, names: list[str], folder: Path) -> Iterator[tuple[float, Any, float]]:
+def ours(problem: Problem, names: list[str], folder: Path, tolerances: Any) -> Iterator[tuple[float, Any, float]]:
     """Tolerance, states (points, states) and time of the FMU."""
     times = np.linspace(0.0, problem.end, POINTS + 1)
     path = flexfmu.build(problem.model, folder / "model.fmu", step=problem.end / POINTS, stop_time=problem.end)
@@ -199,7 +203,7 @@ def ours(problem: Problem, names: list[str], folder: Path) -> Iterator[tuple[flo
     )
     fmu.instantiate()
     wanted = [references[name] for name in names]
-    for tolerance in TOLERANCES:
+    for tolerance in tolerances:
         spent = []
 
         def integrate(tolerance: float = tolerance, spent: list[float] = spent) -> Any:
@@ -220,13 +224,15 @@ def ours(problem: Problem, names: list[str], folder: Path) -> Iterator[tuple[flo
     fmu.freeInstance()
 
 
-def cvodes(problem: Problem, x: casadi.SX, rates: casadi.SX, start: Any) -> Iterator[tuple[float, Any, float]]:
+def cvodes(
+    problem: Problem, x: casadi.SX, rates: casadi.SX, start: Any, tolerances: Any
+) -> Iterator[tuple[float, Any, float]]:
     """The same of CasADi's CVODES, whose functions are compiled."""
     times = np.linspace(0.0, problem.end, POINTS + 1)
     # in units of their nominals: the absolute tolerance is one number
     sizes = casadi.DM(problem.model.nominals)
     scaled = casadi.substitute(rates, x, x * sizes) / sizes
-    for tolerance in TOLERANCES:
+    for tolerance in tolerances:
         limits = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 1000000}
         options = {**limits, "jit": True, "compiler": "shell", "jit_options": {"flags": "-O2"}}
         try:
@@ -255,6 +261,15 @@ def reference(problem: Problem, x: casadi.SX, rates: casadi.SX, start: Any) -> A
     ).y.T
 
 
+def error_ratios(name: str, mine: dict[float, float], theirs: dict[float, float]) -> list[float]:
+    """Print our errors relative to those of CVODES at the same tolerance, or to the tolerance without CVODES; return them."""
+    ratios = [mine[each] / theirs.get(each, each) for each in DECADES if not theirs or each in theirs]
+    print(
+        f"{name:14} {' '.join(f'{each:8.2g}' for each in ratios)}{'' if theirs else '   of the tolerance'}", flush=True
+    )
+    return ratios if theirs else []
+
+
 def time_for(error: float, curve: list[tuple[float, float]]) -> float | None:
     """Time for an error, interpolated between the cheapest runs; None where no run is as exact."""
     reached = [time for found, time in curve if found <= error]
@@ -273,11 +288,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--error", type=float, default=1e-6)
     parser.add_argument("--only", default="")
+    parser.add_argument("--same-tolerance", action="store_true")
     options = parser.parse_args()
+    tolerances = DECADES if options.same_tolerance else TOLERANCES
     chosen = [each for each in options.only.split(",") if each]
-    print(
-        f"{'problem':14} {'states':>6}  {'FMU [ms]':>9}  {'CVODES [ms]':>11}  {'ratio':>6}   for an error of {options.error:g}"
-    )
+    if options.same_tolerance:
+        print(f"{'tolerance':14} {' '.join(f'{each:8.0e}' for each in DECADES)}")
+    else:
+        print(
+            f"{'problem':14} {'states':>6}  {'FMU [ms]':>9}  {'CVODES [ms]':>11}  {'ratio':>6}   for an error of {options.error:g}"
+        )
     ratios = []
     for name, problem in problems().items():
         if chosen and name not in chosen:
@@ -291,19 +311,26 @@ def main() -> None:
 
         def curve(
             trials: Iterator[tuple[float, Any, float]], exact: Any = exact, size: Any = size
-        ) -> list[tuple[float, float]]:
-            return [((abs(states - exact) / size).max(), time) for _, states, time in trials]
+        ) -> dict[float, tuple[float, float]]:
+            return {float(each): ((abs(states - exact) / size).max(), time) for each, states, time in trials}
 
         # CasADi compiles in the working directory
         with TemporaryDirectory() as folder, chdir(folder):
-            mine = time_for(options.error, curve(ours(problem, names, Path(folder))))
-            theirs = time_for(options.error, curve(cvodes(problem, x, rates, start))) if problem.exact is None else None
+            our_curve = curve(ours(problem, names, Path(folder), tolerances))
+            their_curve = curve(cvodes(problem, x, rates, start, tolerances)) if problem.exact is None else {}
+        if options.same_tolerance:
+            errors = ({each: error for each, (error, _) in found.items()} for found in (our_curve, their_curve))
+            ratios += error_ratios(name, *errors)
+            continue
+        mine, theirs = (time_for(options.error, [*found.values()]) for found in (our_curve, their_curve))
         texts = [f"{1e3 * each:.3f}" if each else "-" for each in (mine, theirs)]
         if mine and theirs:
             ratios.append(theirs / mine)
         ratio = f"{theirs / mine:.2f}" if mine and theirs else "-"
         print(f"{name:14} {len(start):6}  {texts[0]:>9}  {texts[1]:>11}  {ratio:>6}", flush=True)
-    if ratios:
+    if options.same_tolerance:
+        print(f"our error is at most that of CVODES in {sum(each <= 1 for each in ratios)} of {len(ratios)}")
+    elif ratios:
         print(f"ratio: how many times longer CVODES takes; geometric mean {np.exp(np.mean(np.log(ratios))):.2f}")
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import casadi
+import control
 import fmpy
 import numpy as np
 import pytest
@@ -438,6 +439,12 @@ def test_linearised_about_a_point() -> None:
     assert list(oscillator.state_labels) == ["x0", "x1"]
     driven = flexfmu.linearize(forced(), {"y": 1.0})
     assert np.allclose(driven.A, [[0, 1], [-4, -0.1]])
+    # the margin of a sampled loop, by hand: b / (z - a)
+    lag = flexfmu.linearize(flexfmu.ode("lag", x={"x": 0.0}, u={"u": 0.0}, rhs=lambda x, u: 10 * u.u - x.x), {}, ["x"])
+    a, b = np.exp(-0.1), 10 * (1 - np.exp(-0.1))
+    crossing = np.exp(1j * np.arccos((1 + a**2 - b**2) / (2 * a)))
+    margin = control.margin(control.sample_system(lag, 0.1))[1]
+    assert margin == pytest.approx(180 - np.degrees(np.angle(crossing - a)))
     with pytest.raises(ModelError, match="no state or input 'phi'"):
         flexfmu.linearize(cart_pole(), {"phi": 0.0})
     with pytest.raises(flexfmu.InputError, match="by name"):
