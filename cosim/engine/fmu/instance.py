@@ -122,16 +122,15 @@ class Instance(ABC):
         self.name, self.no_rollback, self.instances, self.epoch = "", 1, 0, 0
         self._fmu = fmu
         self.input_order = fmu.highest_input_derivative
-        self._guid = fmu.description.guid.encode()
         self._fatal = False
         # saved states, whose memory is reused, and what belongs to each of them
         self._states: list[c_void_p] = []
         self._spare: list[c_void_p] = []
         self._saved: dict[int | None, tuple[Any, ...]] = {}
         self.next_event, self.mode, self.kind = inf, FmuMode.CONFIGURATION, fmu.kind
-        # the run, whether it has begun, and the part of it that FMI 3.0 takes on entering initialisation mode
-        self._start, self._tolerance, self._has_begun = 0.0, cast("float | None", None), False
+        # the experiment as functions of FMI take it, and whether its integration has begun
         self._experiment: tuple[float, ...] = ()
+        self._has_begun = False
         # whether events are used, and the results of updates of discrete states
         self._events = fmu.is_exchange
         kind = self.version.event_info
@@ -140,6 +139,7 @@ class Instance(ABC):
         self._update_arguments = fields if self.version is FMI3 else [byref(self.event_info)]
         self.exchange = ContinuousTime(self, fmu) if fmu.is_exchange else None
         self.clocks = Clocks(self)
+        self._is_plain = not fmu.is_exchange and not fmu.clocks
 
     def instantiate(self, name: str) -> None:
         """Instantiate the FMU; the last instance must have been freed.
@@ -174,7 +174,6 @@ class Instance(ABC):
 
     def set_up(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Set up the experiment; FMI 3.0 takes it on entering initialisation mode."""
-        self._start, self._tolerance = start_time, tolerance
         self._experiment = tolerance is not None, tolerance or 0.0, start_time, True, stop_time
         if self.version is FMI2:
             self.must("fmi2SetupExperiment", "SetupExperiment", *self._experiment)
@@ -186,16 +185,16 @@ class Instance(ABC):
             SlaveError: the FMU fails.
         """
         self.mode = FmuMode.INITIALIZATION
-        experiment = self._experiment if self.version is FMI3 else ()
+        experiment, start = self._experiment if self.version is FMI3 else (), self._experiment[2]
         self.must("initialisation", "EnterInitializationMode", *experiment)
         meanwhile()
-        self.clocks.begin(self._start)
+        self.clocks.begin(start)
         self.must("initialisation", "ExitInitializationMode")
         # an FMU with event mode is in it now, and stays there for the clocks that tick
         self.mode = FmuMode.OPEN_EVENT
-        self.check("activating clocks", lambda: self.clocks.tick(self._start))
+        self.check("activating clocks", lambda: self.clocks.tick(start))
         if not self.clocks.active:
-            self._leave_events(self._start)
+            self._leave_events(start)
 
     def step(self, time: float, step: float) -> None:
         """Advance from ``time`` by ``step`` [s].
@@ -204,6 +203,10 @@ class Instance(ABC):
             SlaveError: the FMU fails or completes only part of the step; its ``time`` is the last time reached.
             SlaveEnded: the FMU requests the end of the simulation.
         """
+        # most FMUs are stepped often, and have no clocks, for which alone events stay open
+        if self._is_plain:
+            self._step(time, step)
+            return
         if self.mode is FmuMode.OPEN_EVENT:
             self._leave_events(time)
         if self.exchange is not None:
@@ -259,7 +262,8 @@ class Instance(ABC):
             self._update(time)
         self.mode, begins, self._has_begun = FmuMode.STEP, not self._has_begun, True
         if self.exchange is not None and begins:
-            self.exchange.begin(self._start, self._tolerance)
+            has_tolerance, tolerance, start, *_ = self._experiment
+            self.exchange.begin(start, tolerance if has_tolerance else None)
         elif self.exchange is not None:
             self.exchange.go_on(inputs_alone=time is None)
 
@@ -391,11 +395,12 @@ class Fmi2Instance(Instance):
         if not fmu.is_exchange:
             self._do_step: partial[int] = partial(self.calls["fmi2DoStep"], self.component)
         self._asynchronous = bool(getattr(fmu.interface, "canRunAsynchronuously", False))
-        self._can_go_back = bool(fmu.interface.canGetAndSetFMUstate)
 
     def _created(self, name: bytes) -> int | None:
         callbacks, kind = byref(self.log.callbacks), fmi.MODEL_EXCHANGE if self.exchange else fmi.CO_SIMULATION
-        found: int | None = self.calls["fmi2Instantiate"](name, kind, self._guid, self._resources, callbacks, 0, 0)
+        found: int | None = self.calls["fmi2Instantiate"](
+            name, kind, self._fmu.description.guid.encode(), self._resources, callbacks, 0, 0
+        )
         return found
 
     def _step(self, time: float, step: float) -> None:
@@ -429,9 +434,12 @@ class Fmi2Instance(Instance):
         if self._fmu.is_ours:
             return SlaveError(error.slave, error.reason, reached.value)
         # FMI 2.0, 4.2.2: a shorter step may succeed, from a state saved before the discarded step
-        remedy = "step_control, which goes back and tries smaller steps"
+        goes_back, remedy = (
+            self._fmu.interface.canGetAndSetFMUstate,
+            "step_control, which goes back and tries smaller steps",
+        )
         done = f"{reached.value - time:.9g} s of the step of {step:.9g} s are done (fmi2Discard)"
-        reason = f"{error.reason}; {done}, take {remedy if self._can_go_back else 'a smaller communication step'}"
+        reason = f"{error.reason}; {done}, take {remedy if goes_back else 'a smaller communication step'}"
         return SlaveError(error.slave, reason, reached.value)
 
 
@@ -444,7 +452,6 @@ class Fmi3Instance(Instance):
         super().__init__(fmu)
         # the breakpoints of an exported trajectory are stated, and all steps end there
         self._has_events = fmu.kind != "CoSimulation" or bool(fmu.interface.hasEventMode and fmu.breakpoints is None)
-        self._returns_early = bool(getattr(fmu.interface, "mightReturnEarlyFromDoStep", False))
         self._regular = fmu.needs_regular_steps
         folder = fmu.folder / "resources"
         self._resources = f"{folder}{os.sep}".encode() if folder.is_dir() else None
@@ -453,16 +460,16 @@ class Fmi3Instance(Instance):
 
     def _created(self, name: bytes) -> int | None:
         # an FMU that states event mode but refuses it is instantiated without
-        may_refuse = self._has_events and self.kind == "CoSimulation" and not self._fmu.clocks
+        returns_early = bool(getattr(self._fmu.interface, "mightReturnEarlyFromDoStep", False))
         found: int | None = None
-        for uses_events in (True, False) if may_refuse else (self._has_events,):
+        for uses_events in (True, False) if self._has_events and self._is_plain else (self._has_events,):
             self._events = uses_events
             self.log.open()
             # other FMUs may log a lot; ours say only so why a step was discarded
-            arguments = name, self._guid, self._resources, False, self._fmu.is_ours
+            arguments = name, self._fmu.description.guid.encode(), self._resources, False, self._fmu.is_ours
             log = None, self.log.receive
             more = {
-                "CoSimulation": (self._events, self._events and self._returns_early, None, 0, *log, None),
+                "CoSimulation": (self._events, self._events and returns_early, None, 0, *log, None),
                 "ModelExchange": log,
                 "ScheduledExecution": (*log, fmi.CLOCK_UPDATE, None, None),
             }

@@ -77,7 +77,7 @@ class FmuSlave:
         self._handles = known.handles
         # an FMU with clocks gives no derivatives at their ticks
         stated = getattr(self._fmu.interface, "maxOutputDerivativeOrder", 0) or 0
-        self._stated_order = 0 if self._fmu.clocks else int(stated)
+        stated_order = 0 if self._fmu.clocks else int(stated)
         if output_order is not None and not output_order >= 0:
             raise InputError(f"{name}: output_order must be zero or positive, got {output_order}")
         # in model exchange the derivatives of states are variables themselves, and where they are states, theirs
@@ -88,9 +88,8 @@ class FmuSlave:
                 chain.append(rate)
                 rate = known.rates.get((rate.reference, rate.place))
             self._rates.append(chain)
-        self._stated_order = max(map(len, self._rates), default=self._stated_order)
-        self.rates_follow_inputs = self._fmu.is_exchange
-        self.max_output_order = self._stated_order if output_order is None else min(output_order, self._stated_order)
+        stated_order = max(map(len, self._rates), default=stated_order)
+        self.max_output_order = stated_order if output_order is None else min(output_order, stated_order)
         highest = self._fmu.highest_input_derivative
         self.max_input_order = highest if input_order is None or highest == 0 else input_order
         self.can_save = bool(self._fmu.interface.canGetAndSetFMUstate)
@@ -120,6 +119,11 @@ class FmuSlave:
             self.lacking = self.absent = {name: n + 1 for name, n in outputs if n < self.max_output_order}
         elif self.max_output_order and not self._fmu.is_ours:
             self._try_derivatives()
+
+    @property
+    def rates_follow_inputs(self) -> bool:
+        """Whether outputs stay continuous when inputs jump, while their derivatives jump: in model exchange they are those of states."""
+        return self._fmu.is_exchange
 
     def _try_derivatives(self) -> None:
         """Lower the orders of output derivatives to those that a trial instance provides as finite numbers.
@@ -340,7 +344,7 @@ class FmuSlave:
         listed = ", ".join(f"der({name},{self.absent[name]})" for name in outputs[:LISTED])
         more = f" and {len(outputs) - LISTED} more" if len(outputs) > LISTED else ""
         return [
-            f"{self.path.name} states maxOutputDerivativeOrder = {self._stated_order}, but doesn't give finite numbers for "
+            f"{self.path.name} states maxOutputDerivativeOrder = {self._fmu.interface.maxOutputDerivativeOrder}, but doesn't give finite numbers for "
             f"{listed}{more}; output derivatives from these orders on are left out (output_order = 0 asks for none)"
         ]
 
