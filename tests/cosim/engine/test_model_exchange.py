@@ -174,6 +174,7 @@ def test_inputs_follow_their_derivatives_and_jump_at_events(make_exchange: Calla
     assert result.recording["guest.shown"].values[-1] == 1.0
 
 
+@pytest.mark.slow
 def test_a_wrapped_fmu_is_co_simulated(make_exchange: Callable[..., Path], tmp_path: Path) -> None:
     """An FMU for model exchange with the integrator in it has, in another tool, the states of our master: time events, step events
     and a discrete input that arrives at an event included."""
