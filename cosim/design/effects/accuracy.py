@@ -327,6 +327,8 @@ class Chooser:
             which = "is 0" if value == 0.0 else "has no value"
             is_mendable = value == 0.0 and self._floor is None
             remedy = "; ask for an absolute error, a text with its unit" if is_mendable else ""
+            if value == 0.0 and name in MARGINS:
+                remedy = ", since the loop is unstable: make it stable first"
             raise InputError(f"`{key}` names {name}, which {which} in scene {self.scene.name}{remedy}")
         return float(asked * abs(value))
 
