@@ -8,20 +8,19 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, cast, get_args
 
 from flexfmu.fmu_build.archive import fmu_facts, pack, write_atomically
 from flexfmu.fmu_build.cache import cache_folder, content_hash, package_fingerprint, read_cached, store
 from flexfmu.fmu_build.compilation import compile_library
-from flexfmu.fmu_build.errors import ArchiveError, PlatformError
+from flexfmu.fmu_build.errors import ArchiveError, BuildError, PlatformError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.toolchain import Platform, find_compiler, find_platforms, native_platform
+from flexfmu.fmu_build.toolchain import FmiVersion, Platform, find_compiler, find_platforms, native_platform
 from flexfmu.model.symbolic import SymbolicBlock
 
 if TYPE_CHECKING:  # a cached build avoids the import of CasADi (a quarter of a second)
     from flexfmu.fmu_build.naming import Naming
     from flexfmu.fmu_build.sources import Sources
-    from flexfmu.fmu_build.toolchain import FmiVersion
     from flexfmu.fmu_build.trajectory_build import Motion
     from flexfmu.model.symbolic import SymbolicModel
 
@@ -67,7 +66,7 @@ def build_fmu(
     stop_time: float | None = None,
     naming: Naming = "structured",
     enumerations: bool = False,
-    fmi: FmiVersion = "2",
+    fmi: FmiVersion | Literal[2, 3] = "2",
     cache: bool = True,
     progress: BuildProgress = lambda message: None,
 ) -> BuiltFmu:
@@ -86,15 +85,18 @@ def build_fmu(
         naming: naming convention of the variables, see `flexfmu.fmu_build.naming`.
         enumerations: whether the parameters ``initial`` and ``integrator`` are FMI enumerations instead of Integers; not
             every importer accepts enumerations (Maestro 3.1.1 doesn't).
-        fmi: version of FMI.
+        fmi: version of FMI, as number or text.
         cache: False builds again and replaces the FMU in the cache.
         progress: called at the beginning of each stage.
 
     Raises:
-        BuildError: the model violates its contract, no table reproduces the motion, the platform is unknown, there is no
+        BuildError: the model violates its contract, no table reproduces the motion, the platform or version is unknown, there is no
             compiler, compilation fails, or a file can't be written.
     """
     started = perf_counter()
+    if str(fmi) not in get_args(FmiVersion):
+        raise BuildError(f"fmi is the version of the standard, '2' for FMI 2.0 or '3' for FMI 3.0, got {fmi!r:.60}")
+    standard = cast(FmiVersion, str(fmi))
     targets = find_platforms(platforms)
     # the default experiment lasts as long as the motion, or a thousand samples
     usual_step, usual_end = DefaultExperiment.step, DefaultExperiment.stop_time
@@ -115,7 +117,7 @@ def build_fmu(
         progress("building the model")
         symbolic = model() if callable(model) else model
         progress("generating C")
-        return generate_sources(symbolic, experiment, naming, enumerations, fmi)
+        return generate_sources(symbolic, experiment, naming, enumerations, standard)
 
     # without a key, the GUID is the key
     make = make_sources
@@ -123,7 +125,7 @@ def build_fmu(
         sources = make_sources()
         key, make = sources.guid, lambda: sources
     else:
-        key = f"{naming} {enumerations} {fmi} {key}"
+        key = f"{naming} {enumerations} {standard} {key}"
 
     # an intact FMU from the cache, or a new one
     versions = version("casadi"), version("flexfmu")
@@ -133,7 +135,7 @@ def build_fmu(
     content = read_cached(name) if cache else None
     is_cached = content is not None
     if content is None:
-        content = _build(make, targets, fmi, cache, progress)
+        content = _build(make, targets, standard, cache, progress)
         stored = _keep(name, content, is_needed=output is None)
     if output is not None:
         write_atomically(output, content)

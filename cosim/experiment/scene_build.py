@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from flexfmu.cosim.engine.shared_library import LIBRARIES, library_file
 from flexfmu.cosim.experiment.parameters import scene_values
@@ -98,7 +98,7 @@ def build_scene(
     platforms: Iterable[str] | None = None,
     naming: Naming = "structured",
     enumerations: bool = False,
-    fmi: FmiVersion = "2",
+    fmi: FmiVersion | Literal[2, 3] = "2",
     cache: bool = True,
     shared: bool = False,
     progress: BuildProgress = lambda message: None,

@@ -236,7 +236,7 @@ def build(
     platforms: Iterable[str] | None = None,
     naming: Naming = "structured",
     enumerations: bool = False,
-    fmi: FmiVersion = "2",
+    fmi: FmiVersion | Literal[2, 3] = "2",
     step: float | None = None,
     stop_time: float | None = None,
     tolerance: float | None = None,
@@ -254,7 +254,7 @@ def build(
             for this machine's.
         naming: names of the FMU's variables, ``structured`` (``link11.bending[1]``) or ``flat`` (``link11_bending_1``).
         enumerations: whether the parameters ``initial`` and ``integrator`` are FMI Enumerations instead of Integers.
-        fmi: version of FMI, ``"2"`` for 2.0 or ``"3"`` for 3.0.
+        fmi: version of FMI, 2 for 2.0 or 3 for 3.0, as number or text.
         step, stop_time, tolerance: communication step [s], end [s] and relative tolerance of a model's default experiment; None for
             0.2 ms, 1 s and 1e-6. A scene has its own.
 
@@ -264,7 +264,7 @@ def build(
     Raises:
         InputError: step, stop time or tolerance are given for a scene.
         SceneError: the scene doesn't exist, or one of its keys or values is invalid.
-        BuildError: a platform is unknown, there is no compiler, the compiler fails, or the file can't be written.
+        BuildError: a platform or version is unknown, there is no compiler, the compiler fails, or the file can't be written.
         TrajectoryError, ResultsError: with ``select = "auto"``, the motion is not feasible, or a run that verifies the choice
             of effects failed.
         TypeError: ``scene`` is of another type.

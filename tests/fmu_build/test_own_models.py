@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import casadi
 import control
@@ -341,7 +341,8 @@ def sampled_state(t: float) -> float:
 def test_parts_sample_at_their_instants() -> None:
     """To rounding, whatever the communication step; in model exchange they are time events; FMI 3.0 has the same bits."""
     model, recordings = sampled(), []
-    for fmi in ("2", "3"):
+    versions: tuple[Literal[2, "3"], ...] = (2, "3")  # numbers too
+    for fmi in versions:
         path = build_fmu(model, step=0.11, stop_time=2.2, fmi=fmi).path
         assert fmi == "3" or validate_fmu(path) == []
         slave = flexfmu.slave(path, "model")
@@ -528,6 +529,8 @@ BAD: list[tuple[str, Callable[[], object]]] = [
     ("are for models from equations", lambda: flexfmu.sweep("barnard2012-6kg", {"payload.mass": [1.0]}, step=1.0)),
     ("part 'c' of model 'm' must be flexfmu.part of", lambda: flexfmu.ode("m", **GOOD, parts={"c": watch})),  # type: ignore[dict-item]
     ("inputs of part 'c' of model 'm' gives 2", lambda: flexfmu.ode("m", **GOOD, parts={"c": flexfmu.part(watch, lambda x, t: [x.x, t])})),
+    ("'2' for FMI 2.0 or '3' for FMI 3.0, got '3.0'", lambda: flexfmu.build(flexfmu.ode("m", **GOOD), fmi="3.0")),  # type: ignore[arg-type]
+    ("'2' for FMI 2.0 or '3' for FMI 3.0, got 1", lambda: flexfmu.build("barnard2012-6kg", fmi=1)),  # type: ignore[arg-type]
     ("is for models from equations", lambda: flexfmu.build("barnard2012-6kg", step=1.0)),
 ]  # fmt: skip
 
