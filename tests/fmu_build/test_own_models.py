@@ -307,6 +307,73 @@ def test_events_are_met_exactly(case: str) -> None:
     assert abs(found[output] - exact).max() < 1e-5 * abs(exact).max()
 
 
+DIRECTIONS = {"down": -1, "both": 0, "up": 1}
+
+
+def jumping() -> SymbolicModel:
+    """A level that an instant, another event and an input throw over zero, and that turns at a floor; its passages are counted."""
+    count = lambda name: lambda x: {name: getattr(x, name) + 1}  # noqa: E731
+    return flexfmu.ode(
+        "jumping",
+        x={"a": 0.5, "r": -1.0, "b": 0.37, "w": 0.0, "w_floor": 0.0, **dict.fromkeys(DIRECTIONS, 0.0)},
+        u={"u": 0.0},
+        p={"instant": 0.5, "by_instant": 0.0, "by_event": 0.0},
+        rhs=lambda x, s: [x.r, 0.0, -1.0, s.at_both + 2 * s.at_down + 4 * s.at_up, s.floor, 0.0, 0.0, 0.0],
+        events={
+            "throw": flexfmu.event(lambda t, p: t - p.instant, 1, lambda x, p: {"a": x.a + p.by_instant}),
+            "clock": flexfmu.event(lambda x: x.b, -1, lambda x, p: {"b": 0.37, "a": x.a + p.by_event}),
+            "floor": flexfmu.event(lambda x: x.a + 0.7, -1, lambda x: {"r": -x.r}),
+            **{f"at_{each}": flexfmu.event(lambda x, u: x.a + u.u, d, count(each)) for each, d in DIRECTIONS.items()},
+        },
+    )
+
+
+def jumping_by_hand(p: Mapping[str, float], u: np.ndarray[Any, Any]) -> list[float]:
+    """Integrals of its sides, and its counts, after 1 s: straight lines between instants, signs behind jumps."""
+    a, r, b, t, k = p["start.a"], p["start.r"], 0.37, 0.0, 0
+    sides, integrals, counts = np.sign([a + u[0], a + 0.7]), np.zeros(2), dict.fromkeys(DIRECTIONS, 0)
+    while True:
+        numbers = np.array([a + u[k], a + 0.7])
+        passes = [abs(g / r) if side * r < 0.0 else np.inf for g, side in zip(numbers, sides, strict=True)]
+        waits = [*passes, p["instant"] - t if t < p["instant"] else np.inf, b, (k + 1) / len(u) - t]
+        kind, h = int(np.argmin(waits)), min(waits)
+        t, a, b, integrals = t + h, a + r * h, b - h, integrals + h * sides
+        if kind == 4 and k + 1 == len(u):
+            return [7 * integrals[0], integrals[1], *counts.values()]
+        k += kind == 4
+        a += p["by_instant"] * (kind == 2) + p["by_event"] * (kind == 3)
+        t, b = p["instant"] if kind == 2 else t, 0.37 if kind == 3 else b
+        behind = np.sign([a + u[k], a + 0.7]) if kind > 1 else np.where([kind == 0, kind == 1], np.sign(r), sides)
+        if behind[0] != sides[0]:
+            for each, d in DIRECTIONS.items():
+                counts[each] += d * behind[0] >= 0
+        if behind[1] < sides[1]:
+            # at the floor the motion turns, and stays on its side unless it was thrown there
+            r, behind[1] = -r, 1.0 if kind == 1 else -1.0
+        sides = behind
+
+
+@pytest.mark.slow
+def test_passages_by_jumps_count(tmp_path: Path) -> None:
+    """Sides are the signs of numbers behind a jump, whatever makes it and wherever the number then goes."""
+    random, model, names = np.random.default_rng(5), jumping(), ["w", "w_floor", *DIRECTIONS]
+    for fmi in ("2", "3"):
+        path = build_fmu(model, step=0.1, stop_time=1.0, fmi=fmi).path
+        unpacked = fmpy.extract(str(path), str(tmp_path / fmi))
+        description = fmpy.read_model_description(unpacked)
+        for fmi_type in 10 * ("CoSimulation", "ModelExchange"):
+            start = {"start.a": random.uniform(-0.6, 1), "start.r": random.choice([-1, 1]) * random.uniform(0.2, 3.0)}
+            jumps = {each: random.uniform(-1.0, 1.0) for each in ("by_instant", "by_event")}
+            p, u = {**start, **jumps, "instant": random.uniform(0.1, 0.9)}, random.uniform(-0.6, 0.6, 5)
+            signal = [(t, value) for k, value in enumerate(u) for t in (k / 5, (k + 1) / 5)]
+            found = fmpy.simulate_fmu(
+                unpacked, model_description=description, fmi_type=fmi_type, stop_time=1.0, step_size=0.1, output_interval=0.1,
+                relative_tolerance=1e-8, start_values=p, output=names, fmi_call_logger=None,
+                input=np.array(signal, dtype=[("time", float), ("u", float)])
+            )  # fmt: skip
+            assert [found[each][-1] for each in names] == pytest.approx(jumping_by_hand(p, u), abs=1e-6), (p, u)
+
+
 @flexfmu.controller(sample_time=0.07, offset=0.03, inputs=["x"], outputs=["u"], state=0.5)
 def integral(measurement: Any, state: Any, *, gain: float = 2.0) -> Any:
     """Proportional and integral feedback."""

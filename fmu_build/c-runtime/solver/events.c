@@ -80,7 +80,8 @@ double flex_events_next(const flex_integrator *integrator, const double *u, doub
 }
 
 // which numbers have passed, and whether a reset belongs to them; those without change sides
-static flex_outcome find_passages(flex_equations *equations, double *fired, int *passages, int *resets) {
+static flex_outcome find_passages(const flex_integrator *integrator, int round, double *fired, int *passages, int *resets) {
+  flex_equations *equations = integrator->stages.equations;
   const flex_model *model = equations->model;
   *passages = *resets = 0;
   for (int k = 0; k < model->n_events; k++) {
@@ -95,15 +96,18 @@ static flex_outcome find_passages(flex_equations *equations, double *fired, int 
     double value = event_number(equations, k);
     if (value >= 0.0 && !(value < TOUCH && side * rate < 0.0)) continue;
     int has_reset = model->events[k].has_reset && model->events[k].direction * side <= 0.0;
-    if (has_reset && side * rate > 0.0) {
+    // the search ends nearer to zero; what comes farther has jumped, unless an importer stops late
+    int jumped = value < -TOUCH && (round > 0 || side * rate > 0.0 || !integrator->record->modes_are_held);
+    if (has_reset && side * rate > 0.0 && !jumped) {
       // it comes back by itself
       equations->forgiven[k] = fmax(0.0, MARGIN - side * g);
       continue;
     }
-    if (has_reset && equations->forgiven[k] > 0.0 && -side * g > TOUCH) return FLEX_EVENTS_ACCUMULATE;
+    if (has_reset && !jumped && equations->forgiven[k] > 0.0 && -side * g > TOUCH) return FLEX_EVENTS_ACCUMULATE;
     *passages = 1;
     if (has_reset) {
       fired[k] = 1.0;
+      equations->forgiven[k] = jumped ? 0.0 : fmax(0.0, MARGIN - side * g);
       *resets = 1;
       continue;
     }
@@ -113,7 +117,7 @@ static flex_outcome find_passages(flex_equations *equations, double *fired, int 
   return FLEX_DONE;
 }
 
-// new states, behind which a number that turns back stays on its side
+// new states, behind which a number that turns back at zero stays on its side
 static flex_outcome reset_states(flex_integrator *integrator, const double *u, const double *fired) {
   flex_equations *equations = integrator->stages.equations;
   const flex_model *model = equations->model;
@@ -128,7 +132,7 @@ static flex_outcome reset_states(flex_integrator *integrator, const double *u, c
   for (int k = 0; outcome == FLEX_DONE && k < model->n_events; k++) {
     double side = event_side(equations, k), g = side * equations->crossings[k];
     if (fired[k] == 0.0) continue;
-    int turns_back = side * equations->crossings[model->n_events + k] > 0.0;
+    int turns_back = side * equations->crossings[model->n_events + k] > 0.0 && event_number(equations, k) >= -TOUCH;
     if (!turns_back && g < TOUCH) set_event_side(equations, k, -side);
     equations->forgiven[k] = fmax(0.0, MARGIN + (turns_back ? -g : g));
   }
@@ -143,7 +147,7 @@ flex_outcome flex_events_settle(flex_integrator *integrator, const double *u, in
   for (int round = 0; round < MOST_ROUNDS; round++) {
     flex_outcome outcome = evaluate_events(integrator, integrator->y, integrator->v, integrator->a, u);
     if (outcome != FLEX_DONE) return outcome;
-    outcome = find_passages(equations, fired, &passages, &resets);
+    outcome = find_passages(integrator, round, fired, &passages, &resets);
     if (outcome != FLEX_DONE || !passages) return outcome;
     flex_step_restart(integrator);
     outcome = resets ? reset_states(integrator, u, fired) : flex_step_accelerate_present(integrator, u);

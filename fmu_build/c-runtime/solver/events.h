@@ -1,7 +1,8 @@
 /* Events of a model: numbers whose passage through zero changes the equations, by the side that these see, or the states.
  *
  * While a step is made, every number stays on its side. Its passage is found within the step (friction.c), which then ends there.
- * Where a reset turns the motion back, as a bounce does, the number stays on its side, and what it was beyond zero is forgiven. */
+ * Where a reset turns the motion back at zero, as a bounce does, the number stays on its side, and what it was beyond zero is forgiven.
+ * A number that jumps beyond zero has passed, wherever it then goes. */
 #ifndef FLEXFMU_EVENTS_H
 #define FLEXFMU_EVENTS_H
 

@@ -18,6 +18,7 @@ typedef struct {
   double far;      /* its end [s] */
   double begin[2], length[2]; /* of the last two steps [s], for interpolation */
   int at_event; /* 1 = the last step has ended at an event that isn't handled yet */
+  int modes_are_held; /* 1 = the modes of friction and events change at the importer's events only */
   int patience, drops; /* communication steps that end a step before the next one looks ahead; drops in a row */
 } flex_integrator_record;
 

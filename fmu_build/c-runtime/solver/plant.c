@@ -310,7 +310,7 @@ flex_failure flex_plant_settle(flex_plant *plant, int holds, int *stopped) {
   flex_failure failure = flex_plant_need_start(plant);
   if (failure.outcome != FLEX_DONE || flex_switches(plant->model) == 0) return failure;
   flex_inputs_evaluate(&plant->inputs, plant->record->time, 0.0, plant->u);
-  plant->record->modes_are_held = holds;
+  plant->record->integrator.modes_are_held = holds;
   plant->record->integrator.at_event = 0;
   return outcome_now(plant, accelerate(plant, 0, stopped), 0.0);
 }
@@ -347,7 +347,7 @@ flex_failure flex_plant_need_acceleration(flex_plant *plant) {
   // inputs that jump: a new acceleration, and new modes of friction
   memcpy(plant->u, plant->u1, (size_t)plant->inputs.count * sizeof(real));
   int stopped = 0;
-  flex_outcome outcome = accelerate(plant, record->modes_are_held, &stopped);
+  flex_outcome outcome = accelerate(plant, record->integrator.modes_are_held, &stopped);
   if (outcome != FLEX_DONE) record->inputs_changed = 1;
   return outcome_now(plant, outcome, 0.0);
 }

@@ -30,7 +30,6 @@ typedef struct {
   int is_moving;     /* 1 = initialisation is over */
   int is_overdamped; /* 1 = at the start something decays far faster than it vibrates */
   int have;          /* FLEX_HAVE_.. */
-  int modes_are_held; /* 1 = the modes of friction and events change at the importer's events only */
   int inputs_changed;
   flex_integrator_record integrator;
   flex_stages_record stages;
