@@ -63,10 +63,11 @@ def assembled(draft: Draft, residual: Sequence[casadi.SX], rhs: Sequence[casadi.
         (draft.derived, column(draft.start_by_name("u")), start),
         casadi.SX(1.0),
         column(scale),
+        None if draft.iterated is draft.unsolved else (draft.unsolved, draft.iterated),
     )
     # numbers that move at a constant rate between events: of time and of states that only events change
     instants = [
-        not casadi.depends_on(number, casadi.vertcat(draft.y[: n - 1], draft.v, draft.a, draft.u))
+        not casadi.depends_on(number, casadi.vertcat(draft.y[: n - 1], draft.v, draft.a, draft.u, draft.unsolved))
         and not casadi.depends_on(casadi.jacobian(number, draft.time), draft.time)
         for number in casadi.vertsplit(casadi.substitute(numbers, constant, casadi.SX.zeros(constant.numel())))
     ]
@@ -110,9 +111,9 @@ def _outputs(draft: Draft) -> Shown:
             text = f"Time derivative of {before}" if before else given.description or f"State {each}"
             shown.append((Variable(name, unit, text, "output", derivative_of=before), level[k]))
             unit, before = rate_unit(unit), name
-    for each, given in draft.given["z"].items():
+    for (each, given), value in zip(draft.given["z"].items(), casadi.vertsplit(draft.solution), strict=True):
         text = given.description or f"Variable {each} of the constraints"
-        shown.append((Variable(each, given.unit, text, "output", nominal=given.nominal), draft.scopes["z"][each]))
+        shown.append((Variable(each, given.unit, text, "output", nominal=given.nominal), value))
     for each, source in draft.outputs.items():
         given = source if isinstance(source, variable) else variable(source)
         (value,) = draft.evaluated(f"output '{each}'", given.value, [each], switches=True)
@@ -146,7 +147,10 @@ def _event_functions(draft: Draft, numbers: casadi.SX, motion: MotionSymbols) ->
         "event_numbers": ([motion.y, motion.v, motion.a, motion.u, d], casadi.vertcat(numbers, rate)),
         "event_resets": ([motion.y, motion.v, motion.u, d, fired], behind),
     }
-    return {name: casadi.Function(name, given, [casadi.densify(value)]) for name, (given, value) in results.items()}
+    return {
+        name: casadi.Function(name, given, [casadi.densify(casadi.substitute(value, draft.unsolved, draft.iterated))])
+        for name, (given, value) in results.items()
+    }
 
 
 def _definite(draft: Draft, residual: casadi.SX) -> casadi.SX:

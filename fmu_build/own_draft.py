@@ -73,6 +73,8 @@ class Draft:
     Attributes:
         y, v, a: symbols of all unknowns: coordinates of second order, of first order, time.
         time: symbol of the time.
+        unsolved, solution: symbols of the variables of constraints, and what takes their place in equations.
+        iterated: what takes the symbols' place in the solution, a constant for its derivatives.
         scopes: argument of a user's function → what it gets.
     """
 
@@ -142,7 +144,7 @@ class Draft:
         self.u = casadi.SX.sym("u", len(u))
         self.d = casadi.SX.sym("d", constants + 2 * len(self.friction) + len(self.events))
         self.time = self.y[n - 1]
-        unsolved = casadi.SX.sym("z", len(z))
+        self.unsolved = self.solution = self.iterated = casadi.SX.sym("z", len(z))
 
         def named(letter: str, names: Sequence[str], symbols: casadi.SX) -> Names:
             return Names(f"{letter} of model '{name}'", dict(zip(names, casadi.vertsplit(symbols), strict=True)))
@@ -153,7 +155,7 @@ class Draft:
             "v": named("v", list(q), self.v[second]),
             "a": named("a", list(q), self.a[second]),
             "x": named("x", list(x), self.v[self.n_second : n - 1]),
-            "z": named("z", list(z), unsolved),
+            "z": named("z", list(z), self.unsolved),
             "u": named("u", list(u), self.u),
             "p": named("p", [*p, *derived][:constants], column(casadi.vertsplit(self.d)[:constants])),
             "s": named("s", list(self.events), column(casadi.vertsplit(self.d)[constants + 2 * len(self.friction) :])),
@@ -269,7 +271,7 @@ class Draft:
             raise ModelError(f"{where} must be one expression, got {expression.size1()} x {expression.size2()} of them")
         # symbols of the user by name; those of the model are known
         own = {each.element_hash() for each in casadi.symvar(casadi.vertcat(self.y, self.v, self.a, self.u, self.d))}
-        own |= {each.element_hash() for each in casadi.symvar(column([*self.scopes["z"]]))}
+        own |= {each.element_hash() for each in casadi.vertsplit(self.unsolved)}
         named: dict[str, casadi.SX] = {"t": self.time} if "t" in scopes else {}
         for letter in (each for each in scopes if each not in "vats"):
             named |= self.scopes[letter]._symbols
@@ -296,6 +298,8 @@ class Draft:
                     f"{where} jumps ({SWITCHES[operation]}), which no integrator steps over accurately; make it smooth, with tanh for "
                     "example, make the switch an event and use its side, or put what depends on parameters alone into derived"
                 )
+        if casadi.depends_on(expression, self.unsolved):
+            expression = casadi.substitute(expression, self.unsolved, self.solution)
         return casadi.densify(expression)
 
     def at_start(self, expression: casadi.SX, unknowns: casadi.SX) -> casadi.Function:

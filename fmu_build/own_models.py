@@ -7,7 +7,7 @@ Equations are functions of named symbols, or CasADi expressions of symbols with 
 
     vdp = ode("vdp", x={"x0": 2.0, "x1": 0.0}, p={"mu": 1.0}, rhs=lambda x, p: [x.x1, p.mu * (1 - x.x0**2) * x.x1 - x.x0])
 
-Constraints that are linear in z are solved as they stand. Others are solved by three of Newton's iterations from a guess, a further
+Constraints that are linear in z are solved as they stand. Others are solved by eight of Newton's iterations from a guess, a further
 state that follows the solution; where these don't converge the equations give no number, and the integrator takes shorter steps.
 """
 
@@ -26,7 +26,7 @@ from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.interface import find_states
 from flexfmu.fmu_build.own_assembly import assembled
 from flexfmu.fmu_build.own_draft import SINGULAR, Draft
-from flexfmu.fmu_build.own_entries import Common, Equation, Mechanics, Names, column, event, part, variable
+from flexfmu.fmu_build.own_entries import Common, Equation, Mechanics, column, event, part, variable
 from flexfmu.model.contract import Linearisation, LinearPlant
 from flexfmu.model.symbolic import SymbolicModel
 
@@ -35,11 +35,14 @@ __all__ = ["dae", "event", "lagrangian", "linear_about", "ode", "part", "second_
 RELAXATION = 1e4
 """Rate [1/s] at which the guess of a nonlinear constraint's solution follows it; far above the motions of most models."""
 
-CONVERGED = 1e-4
+CONVERGED = 1e-7
 """Largest last correction of Newton's iterations relative to the size of z: the error that it leaves is about its square."""
 
-ITERATIONS, START_ITERATIONS = 3, 50
-"""Newton iterations for constraints, in every evaluation of the equations and at the start."""
+DAMPED_ITERATIONS, SHARES = 6, (1 / 64, 1 / 8, 1.0)
+"""Newton iterations for constraints, in every evaluation of the equations, that may take a share of the step only; two whole ones follow."""
+
+START_ITERATIONS, HALVINGS = 100, 40
+"""Newton iterations for constraints at the start, and halvings of each step."""
 
 
 def ode(name: str, *, x: Mapping[str, Any], rhs: Equation, **common: Unpack[Common]) -> SymbolicModel:
@@ -144,66 +147,90 @@ def dae(
         ModelError: as for `ode`, or the constraints don't determine z, as where the index is 2 or 3.
     """
 
-    def drafted(states: Mapping[str, Any]) -> tuple[Draft, casadi.SX, casadi.SX, casadi.SX]:
-        """A draft with these states, its variables z, the constraints and their derivatives by z."""
+    def drafted(states: Mapping[str, Any]) -> tuple[Draft, casadi.SX, casadi.SX]:
+        """A draft with these states, the constraints, and their derivatives by z."""
         draft = Draft(name, x=states, z=z, **common)
-        constrained = draft.evaluated("constraints", constraints, [f"0 ({each})" for each in z])
-        unknowns, defect = column([*draft.scopes["z"]]), column(constrained)
-        return draft, unknowns, defect, casadi.jacobian(defect, unknowns)
+        defect = column(draft.evaluated("constraints", constraints, [f"0 ({each})" for each in z]))
+        return draft, defect, casadi.jacobian(defect, draft.unsolved)
 
     if not z:
         raise ModelError(f"model '{name}' has no variables z for its constraints; without any it is an ode")
-    draft, unknowns, defect, slope = drafted(x)
-    guess, gate, follow = _solved_start(draft, defect, slope), casadi.SX(0), []
-    if not casadi.depends_on(slope, unknowns):
-        solution = casadi.solve(slope, -casadi.substitute(defect, unknowns, casadi.SX.zeros(len(z))))
-    else:
-        # further states that follow the solution, from which Newton's method starts
-        given = draft.given["z"]
-        follows = {f"guess.{each}": replace(given[each], value=value) for each, value in guess.items()}
-        draft, unknowns, defect, slope = drafted({**x, **follows})
-        correction = casadi.solve(slope, -defect)
-        solution = guesses = column([draft.scopes["x"][each] for each in follows])
-        for _ in range(ITERATIONS):
-            step = casadi.substitute(correction, unknowns, solution)
-            solution = solution + step
-        sizes = column([each.size for each in follows.values()])
-        # the root of a negative number is no number, where the last correction is too large
-        gate = 1e-300 * casadi.sqrt(1 - casadi.sumsqr(step / (CONVERGED * (sizes + casadi.fabs(solution)))))
-        follow = casadi.vertsplit(RELAXATION * (solution - guesses))
-    solved = dict(zip(z, casadi.vertsplit(solution), strict=True))
-    draft.scopes["z"] = Names(f"z of model '{name}'", solved)
+    draft, defect, slope = drafted(x)
+    guess = _solved_start(draft, defect, slope)
+    if not casadi.depends_on(slope, draft.unsolved):
+        draft.solution = casadi.solve(slope, -casadi.substitute(defect, draft.unsolved, casadi.SX.zeros(len(z))))
+        return assembled(draft, [], draft.evaluated("rhs", rhs, list(x)))
+    # further states that follow the solution, from which Newton's method starts
+    given = draft.given["z"]
+    follows = {f"guess.{each}": replace(given[each], value=value) for each, value in guess.items()}
+    draft, defect, slope = drafted({**x, **follows})
+    solution = guesses = column([draft.scopes["x"][each] for each in follows])
+    sizes = column([each.size for each in follows.values()])
+
+    def newton(z: casadi.SX) -> tuple[casadi.SX, casadi.SX]:
+        """The matrix at z, and the step from there."""
+        matrix, left = (casadi.substitute(each, draft.unsolved, z) for each in (slope, defect))
+        return matrix, casadi.solve(matrix, -left)
+
+    for _ in range(DAMPED_ITERATIONS):
+        matrix, step = newton(solution)
+        # the largest share of the step behind which the next one with the same matrix is smaller, or the least share
+        share = casadi.SX(SHARES[0])
+        for each in SHARES[1:]:
+            behind = casadi.solve(matrix, casadi.substitute(defect, draft.unsolved, solution + each * step))
+            is_smaller = casadi.sumsqr(behind / sizes) < casadi.sumsqr(step / sizes)
+            share = casadi.if_else(is_smaller, each, share)
+        solution = solution + share * step
+    # two whole ones, behind which the first and second derivatives are exact whatever those of their start
+    draft.iterated, solution = solution, draft.unsolved
+    for _ in range(2):
+        _, step = newton(solution)
+        solution = solution + step
+    draft.solution = solution
+    # the root of a negative number is no number, where the last correction is too large
+    gate = 1e-300 * casadi.sqrt(1 - casadi.sumsqr(step / (CONVERGED * (sizes + casadi.fabs(solution)))))
     rates = [each + gate for each in draft.evaluated("rhs", rhs, list(x))]
-    return assembled(draft, [], [*rates, *follow])
+    # the solution's own rate but for that of inputs, dz/dt = -(dg/dz)^-1 (dg/dx dx/dt + dg/dt), and what is left of the distance
+    moved = casadi.vertcat(column([draft.scopes["x"][each] for each in x]), draft.time)
+    drift = casadi.substitute(casadi.jacobian(defect, moved), draft.unsolved, solution) @ casadi.vertcat(*rates, 1)
+    rate = casadi.solve(newton(solution)[0], -drift) + RELAXATION * (solution - guesses)
+    return replace(assembled(draft, [], [*rates, *casadi.vertsplit(rate)]), iterated=tuple(z))
 
 
 def _solved_start(draft: Draft, defect: casadi.SX, slope: casadi.SX) -> dict[str, float]:
-    """The solution of the constraints at the start.
+    """The solution of the constraints at the start, by Newton's method with steps that are halved until the next one is smaller.
 
     Raises:
-        ModelError: they don't determine z, or Newton's method doesn't converge.
+        ModelError: the constraints don't determine z, or the iteration doesn't converge.
     """
-    names, unknowns = list(draft.given["z"]), column([*draft.scopes["z"]])
-    function = draft.at_start(casadi.horzcat(defect, slope), unknowns)
-    value = np.array([each.value for each in draft.given["z"].values()])
+    names, given = list(draft.given["z"]), draft.given["z"].values()
+    function = draft.at_start(casadi.horzcat(defect, slope), draft.unsolved)
+    value, sizes = np.array([[each.value, each.size] for each in given]).T
+    both = function(value).full()
     for _ in range(START_ITERATIONS):
-        both = function(value).full()
-        residual, matrix = both[:, 0], both[:, 1:]
         if not np.isfinite(both).all():
             break
-        left, sizes, right = np.linalg.svd(matrix)
-        if sizes[-1] <= SINGULAR * max(sizes[0], 1e-300):
-            remedy = "give another guess in z; or " if casadi.depends_on(slope, unknowns) else ""
+        # every constraint and variable in its own size
+        matrix = both[:, 1:] * sizes
+        rows = 1.0 / np.where(matrix.any(axis=1), abs(matrix).max(axis=1), 1.0)
+        left, stretches, right = np.linalg.svd(matrix * rows[:, None])
+        if stretches[-1] <= SINGULAR * max(stretches[0], 1e-300):
+            remedy = "give another guess in z; or " if casadi.depends_on(slope, draft.unsolved) else ""
             raise ModelError(
                 f"the constraints of model '{draft.name}' don't determine '{names[int(np.argmax(abs(right[-1])))]}' (constraint "
                 f"{int(np.argmax(abs(left[:, -1]))) + 1} doesn't change with it): {remedy}the index is 2 or 3; differentiate that "
                 "constraint by time until it holds the variable, or take second_order or lagrangian with coordinates that fulfil it"
             )
-        step = np.linalg.solve(matrix, residual)
-        value = value - step
-        if (abs(step) <= 1e-10 * (1.0 + abs(value))).all():
-            return dict(zip(names, value.tolist(), strict=True))
-    guess = ", ".join(f"{each} = {given.value:g}" for each, given in draft.given["z"].items())
+        step = np.linalg.solve(matrix, both[:, 0])
+        if (abs(sizes * step) <= 1e-10 * (sizes + abs(value))).all():
+            return dict(zip(names, (value - sizes * step).tolist(), strict=True))
+        for share in 0.5 ** np.arange(HALVINGS):
+            both = function(value - share * sizes * step).full()
+            behind = np.linalg.solve(matrix, both[:, 0])
+            if np.isfinite(both).all() and np.linalg.norm(behind) <= np.linalg.norm(step):
+                break
+        value = value - share * sizes * step
+    guess = ", ".join(f"{each} = {one.value:g}" for each, one in draft.given["z"].items())
     raise ModelError(
         f"the constraints of model '{draft.name}' can't be solved at the start from the guess {guess}; give a better one in z"
     )

@@ -21,6 +21,7 @@ def contract_functions(
     start: tuple[casadi.SX, casadi.SX, casadi.SX],
     margin: casadi.SX,
     error_scale: casadi.SX,
+    iterated: tuple[casadi.SX, casadi.SX] | None = None,
 ) -> Mapping[str, casadi.Function]:
     """The functions of `flexfmu.model.symbolic.FUNCTION_SIGNATURES`.
 
@@ -31,9 +32,11 @@ def contract_functions(
         parameters: symbols of the parameters p and of the derived values d.
         start: derived values, inputs at the start, and coordinates there (n, 1) or with the rates (2 n, 1), expressions of p.
         margin, error_scale: as `singularity` and `error_scale` there, expressions of y, u, d and of d.
+        iterated: symbols that derivatives take as constants, and the expressions that take their place in all results.
     """
     y, v, a, u, (p, d) = motion.y, motion.v, motion.a, motion.u, parameters
     derived, inputs, coordinates = start
+    constant = d if iterated is None else casadi.vertcat(d, iterated[0])
     results = {
         "derive": ([p], derived),
         "initial_inputs": ([p], inputs),
@@ -43,15 +46,17 @@ def contract_functions(
         "mass_matrix": ([y, u, d], casadi.tril2symm(casadi.tril(casadi.jacobian(residual, a)))),
         "outputs": ([y, v, a, u, d], outputs),
         "motion_forward": time_derivatives.motion_forward(motion, residual, outputs, d),
-        "motion_rate1": time_derivatives.motion_rate1(motion, residual, outputs, d),
-        "motion_rate2": time_derivatives.motion_rate2(motion, residual, outputs, d),
+        "motion_rate1": time_derivatives.motion_rate1(motion, residual, outputs, constant),
+        "motion_rate2": time_derivatives.motion_rate2(motion, residual, outputs, constant),
         "singularity": ([y, u, d], margin),
         "error_scale": ([d], error_scale),
     }
-    return {
-        name: casadi.Function(name, arguments, [casadi.densify(casadi.cse(casadi.densify(result)))])
-        for name, (arguments, result) in results.items()
-    }
+    functions = {}
+    for name, (arguments, result) in results.items():
+        taken = [d if each is constant else each for each in arguments]
+        closed = result if iterated is None else casadi.substitute(result, *iterated)
+        functions[name] = casadi.Function(name, taken, [casadi.densify(casadi.cse(casadi.densify(closed)))])
+    return functions
 
 
 @dataclass(frozen=True, eq=False)

@@ -211,6 +211,7 @@ class SymbolicModel:
         nominals: usual sizes of the states, positive, in their order; the tolerance is relative to them, or to the largest value that a
             state has had. Empty for a model with an error norm of its own, at rest at the start; otherwise
             `initial_coordinates` gives the rates behind the coordinates.
+        iterated: names of the outputs for which the equations solve by iteration; where it fails they give no number.
     """
 
     name: str
@@ -238,6 +239,7 @@ class SymbolicModel:
     first_order: int = 0
     has_clock: bool = False
     nominals: tuple[float, ...] = ()
+    iterated: tuple[str, ...] = ()
 
     @property
     def states(self) -> tuple[int, ...]:

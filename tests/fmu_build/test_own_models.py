@@ -122,6 +122,54 @@ def leak_rates(t: float, s: Any) -> Any:
     return [-float(brentq(lambda w: w**3 + w - 2 * s[0], -10.0, 10.0, xtol=1e-15))]
 
 
+def source_voltage(t: Any, side: Any) -> Any:
+    """A voltage that drops by 8 V at 13 ms [V]."""
+    return 5.0 * casadi.cos(500.0 * t) - 4.0 * (1.0 + side)
+
+
+def rectifier(**guess: Any) -> SymbolicModel:
+    """A source, a resistor and a diode, whose current grows 1e9 times within a volt; behind another resistor a capacitor."""
+    return flexfmu.dae(
+        "rectifier",
+        x={"uc": 0.1},
+        z={"ud": 0.0, "i": flexfmu.variable(0.0, "A", nominal=1e-3), "w": 0.1} | guess,
+        p={"k": 0.0},
+        rhs=lambda x, z: (z.ud - x.uc) / 2.2e-3,
+        constraints=lambda x, z, p, t, s: [
+            z.i - 1e-12 * (casadi.exp(z.ud / 0.05) - 1),
+            (source_voltage(t, s.drop) - z.ud) / 1e3 - z.i - (z.ud - x.uc) / 2.2e3,
+            z.w**2 - 1 + p.k * t,
+        ],
+        events={"drop": flexfmu.event(lambda t: t - 0.013)},
+    )
+
+
+def diode_voltage(t: float, uc: float, side: float) -> float:
+    """Its ``ud`` by a root finder [V]."""
+    rest = float(source_voltage(t, side)) + uc / 2.2
+    return float(brentq(lambda ud: 1e-9 * (np.exp(ud / 0.05) - 1) - rest + ud * 3.2 / 2.2, -15, 1.4, xtol=1e-15))
+
+
+def test_steep_constraints_are_solved_from_far_guesses_and_behind_jumps() -> None:
+    """To the tolerance's order; the variables of constraints that have no solution any more are named."""
+    times, uc = np.linspace(0.0, 0.02, 201), []
+    for side, span in ((-1.0, times[:131]), (1.0, times[130:])):
+        rates = lambda t, x, side=side: [(diode_voltage(t, x[0], side) - x[0]) / 2.2e-3]  # noqa: E731
+        options = {"rtol": 1e-9, "atol": 1e-10, "max_step": 1e-4}
+        found = solve_ivp(rates, span[[0, -1]], [uc[-1] if uc else 0.1], "DOP853", span, **options)
+        uc[-1:] = found.y[0]
+    ud = [diode_voltage(t, u, side) for t, u, side in zip(times, uc, 2.0 * (times > 0.01301) - 1, strict=True)]
+    for guess in ({"ud": 0.6}, {"ud": 1.2, "i": 3.5e-3}, {"ud": 2.0}, {}):
+        model = rectifier(**guess)
+    run = flexfmu.simulate(model, stop_time=0.02, step=1e-4, tolerance=1e-9)
+    for name, expected in (("uc", uc), ("ud", ud)):
+        difference = np.delete(run.recording[f"rectifier.{name}"].values - expected, 130)
+        assert abs(difference).max() < 2e-8, name
+    run = flexfmu.simulate([flexfmu.slave(model, parameters={"k": 70.0})], stop_time=0.02, step=1e-4)
+    assert "the iteration of the constraints for ud, i, w fails" in run.message
+    assert run.recording.time[-1] == pytest.approx(1 / 70, abs=1e-4)
+
+
 SIZE = 42
 """States of `network`, whose mass matrix has so many zeros that they are written by a loop."""
 COUPLED = np.zeros((SIZE, SIZE))

@@ -66,8 +66,12 @@ void flex_explain(flex_plant *plant, const char *what, const flex_failure *failu
     case FLEX_NOT_FINITE:
       refuse(plant, "%s: at %.9g s the model gives no finite number", what, t);
       if (add_largest_input(plant, t)) break;
-      refuse(plant, "%s: at %.9g s the model gives no finite number; check %s there", what, t,
-             model->margin_name[0] ? "that the mechanism can be assembled" : "the equations, states and parameters");
+      if (model->iterated)
+        refuse(plant, "%s: at %.9g s the iteration of the constraints for %s fails, or the equations give no finite number", what,
+               t, model->iterated);
+      else
+        refuse(plant, "%s: at %.9g s the model gives no finite number; check %s there", what, t,
+               model->margin_name[0] ? "that the mechanism can be assembled" : "the equations, states and parameters");
       add_pose(plant);
       break;
     case FLEX_NOT_DEFINITE:
