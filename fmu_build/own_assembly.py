@@ -44,6 +44,11 @@ def assembled(draft: Draft, residual: Sequence[casadi.SX], rhs: Sequence[casadi.
     # the clock is there where something depends on it
     constant = column([draft.v[second + k] for k, rate in enumerate(rates) if rate.is_zero()])
     numbers = column([draft.evaluated(f"event '{each}'", e.number, [each])[0] for each, e in draft.events.items()])
+    for each, number in zip(draft.events, casadi.vertsplit(numbers), strict=True):
+        if number.is_constant():
+            raise ModelError(
+                f"the number of event '{each}' of model '{draft.name}' is constant, so that it never happens"
+            )
     has_clock = casadi.depends_on(casadi.vertcat(equations, everything, numbers), draft.time)
     kept = n if has_clock else n - 1
     motion = MotionSymbols(draft.y[:kept], draft.v[:kept], draft.a[:kept], draft.u)

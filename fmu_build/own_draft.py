@@ -138,6 +138,12 @@ class Draft:
         self.friction = {each: f if isinstance(f, tuple) else (f, f) for each, f in friction.items()}
         if wrong := [each for each, pair in self.friction.items() if each not in q or len(pair) != 2]:
             raise ModelError(f"friction of model '{name}' is coordinate → force, or a pair of forces, got '{wrong[0]}'")
+        for each, (breakaway, slip) in self.friction.items():
+            if isinstance(breakaway, int | float) and isinstance(slip, int | float) and not 0.0 <= slip <= breakaway:
+                raise ModelError(
+                    f"friction of '{each}' of model '{name}' must be zero or positive, and while it slips at most that of breakaway, "
+                    f"got {breakaway:g} and {slip:g}"
+                )
         # constants, breakaway forces and directions of friction, sides of events
         constants = len(p) + len(derived)
         derived |= {f"friction.{each}": pair[0] for each, pair in self.friction.items()}

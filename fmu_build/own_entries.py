@@ -168,14 +168,23 @@ class Mechanics(Common, total=False):
 _PART = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
 
 
+RESERVED = ("start", "start_rate", "state", "statistics")
+"""Beginnings of names of the FMU's own variables."""
+
+
 def check_name(name: Any) -> None:
     """Check that the name of a variable is a structured one of FMI.
 
     Raises:
-        ModelError: it isn't.
+        ModelError: it isn't, or the FMU has such a variable of its own.
     """
     if not isinstance(name, str) or name == "time" or not re.fullmatch(rf"{_PART}(\.{_PART})*", name, re.ASCII):
         raise ModelError(f"{name!r} can't be the name of a variable; write it like angle, arm.angle or temperature[1]")
+    head = name.partition(".")[0]
+    if head == "integrator" or (head in RESERVED and head != name):
+        raise ModelError(
+            f"{name!r} can't be the name of a variable: integrator and {', '.join(RESERVED)}.* are the FMU's own"
+        )
 
 
 def declared(scope: str, name: str, value: Any) -> variable:
@@ -186,15 +195,16 @@ def declared(scope: str, name: str, value: Any) -> variable:
     """
     given = value if isinstance(value, variable) else variable(value)
     check_name(name)
+    unit = "" if given.unit == "1" else f" {given.unit}"
 
     def number(what: str, entry: Any) -> float:
         try:
-            found = float(entry)
+            found = float("a truth value" if isinstance(entry, bool) else entry)
         except (TypeError, ValueError, RuntimeError):
             raise ModelError(f"{what} of {scope} '{name}' must be a number, got {entry!r}") from None
         if not isfinite(found) or (what == "nominal" and found <= 0.0):
             kind = "positive" if what == "nominal" else "finite"
-            raise ModelError(f"{what} of {scope} '{name}' must be a {kind} number, got {found} {given.unit}")
+            raise ModelError(f"{what} of {scope} '{name}' must be a {kind} number, got {found}{unit}")
         return found
 
     nominal, low, high = (
@@ -202,10 +212,11 @@ def declared(scope: str, name: str, value: Any) -> variable:
         for what in ("nominal", "minimum", "maximum")
     )
     start = number("start", given.value)
-    if (low is not None and start < low) or (high is not None and start > high):
-        raise ModelError(
-            f"start of {scope} '{name}' must be within its range {low} to {high}, got {start} {given.unit}"
-        )
+    if low is not None and high is not None and low > high:
+        raise ModelError(f"the minimum of {scope} '{name}', {low}{unit}, is above its maximum, {high}{unit}")
+    for bound, side, excess in ((low, "at least", -1.0), (high, "at most", 1.0)):
+        if bound is not None and excess * (start - bound) > 0.0:
+            raise ModelError(f"start of {scope} '{name}' must be {side} {bound}{unit}, got {start}{unit}")
     return replace(given, value=start, nominal=nominal, minimum=low, maximum=high)
 
 

@@ -628,7 +628,14 @@ BAD: list[tuple[str, Callable[[], object]]] = [
     ("friction of model 'm' is", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda a: a.a, friction={"b": 1.0})),
     ("index is 2 or 3", lambda: flexfmu.dae("m", x={"x": 1.0}, z={"z": 0.0}, rhs=lambda z: z.z, constraints=lambda x: x.x - 1)),
     ("can't be solved at the start", lambda: flexfmu.dae("m", x={"x": 1.0}, z={"z": 0.1}, rhs=lambda z: z.z, constraints=lambda z: z.z**2 + 1)),
-    ("must be within its range 0.0 to None", lambda: flexfmu.ode("m", **GOOD, p={"k": flexfmu.variable(-1.0, minimum=0.0)})),
+    ("must be at least 0.0, got -1.0$", lambda: flexfmu.ode("m", **GOOD, p={"k": flexfmu.variable(-1.0, minimum=0.0)})),
+    ("minimum of p 'k', 2.0 m, is above its maximum, 1.0 m", lambda: flexfmu.ode("m", **GOOD, p={"k": flexfmu.variable(1.0, "m", minimum=2.0, maximum=1.0)})),
+    ("start of x 'x' must be a number, got True", lambda: flexfmu.ode("m", **GOOD | {"x": {"x": True}})),
+    ("integrator' can't be the name of a variable: ", lambda: flexfmu.ode("m", **GOOD, p={"integrator": 1.0})),
+    ("start.a' can't be the name of a variable: ", lambda: flexfmu.ode("m", **GOOD, p={"start.a": 1.0})),
+    ("event 'e' of model 'm' is constant", lambda: flexfmu.ode("m", **GOOD, events={"e": flexfmu.event(1.0)})),
+    ("got -1 and -1", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda a: a.a, friction={"a": -1.0})),
+    ("got 1 and 2", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda a: a.a, friction={"a": (1.0, 2.0)})),
     ("a unit is a text", lambda: flexfmu.variable(1.0, None)),  # type: ignore[arg-type]
     ("'time' can't be the name", lambda: flexfmu.ode("m", **GOOD, u={"time": 1.0})),
     ("has no argument 'parameters'", lambda: flexfmu.ode("m", **GOOD, parameters={})),  # type: ignore[call-arg]
