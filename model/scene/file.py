@@ -44,13 +44,18 @@ def as_scene(source: Scene | Path | str) -> Scene:
     """Return a scene as it is, or load it from its file or by the name of a shipped scene.
 
     Raises:
-        SceneError: the scene doesn't exist, or one of its keys or values is invalid.
+        SceneError: the scene doesn't exist, one of its keys or values is invalid, or it is a model from equations.
         TypeError: the source is of another type.
     """
     if isinstance(source, Scene):
         return source
     if isinstance(source, str | Path):
         return load_scene(source)
+    if type(source).__name__ == "SymbolicModel":
+        raise SceneError(
+            "a model from equations is no scene: simulate, build, sweep and linearize take it; for its margins and modes give "
+            "flexfmu.linearize(model, point) to python-control"
+        )
     raise TypeError(
         f"expected a Scene, the path of a scene file or the name of a shipped scene, got {type(source).__name__}: {source!r:.60}"
     )
