@@ -46,7 +46,7 @@
   X(fmi2GetNominalsOfContinuousStates, EXCHANGE, ANY_PHASE)      \
   X(fmi2SetRealInputDerivatives, STEPPING, SETTABLE_PHASE)       \
   X(fmi2GetRealOutputDerivatives, STEPPING, READABLE_PHASE)      \
-  X(fmi2DoStep, STEPPING, STEPPING_PHASE)                       \
+  X(fmi2DoStep, STEPPING, STEPPING_PHASE)                        \
   X(fmi2CancelStep, STEPPING, 0)                                 \
   X(fmi2GetStatus, STEPPING, STEPPED_PHASE)                      \
   X(fmi2GetRealStatus, STEPPING, STEPPED_PHASE)                  \
