@@ -92,6 +92,7 @@ EXPECTED: dict[str, Check] = {
         rising([-value(row, "bends by") for row in lines]) and len({row.partition("tip")[2] for row in lines}) == 1
     ),
     "own_slider_crank.py": figures("drifts by", lambda *drifts: max(drifts) < 1e-8),
+    "own_ivp_slider_crank.py": figures("difference", lambda *found: len(found) == 10 and max(found) < 3e-8),
     # the rod at rest is a fin
     "own_heat_rod.py": lambda lines, n: columns(lines[-2]) == pytest.approx(columns(lines[-1]), abs=0.05),
     # the last bounce of which the ball rises faster than 0.05 m/s is the 20th; the next one ends its motion
