@@ -27,7 +27,7 @@ from flexfmu.fmu_build.toolchain import FmiVersion
 from flexfmu.model.scene.file import as_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicModel
-from flexfmu.systems import Part, Parts, listed, with_parts
+from flexfmu.systems import Part, Parts, listed, wires, with_parts
 
 if TYPE_CHECKING:
     import control
@@ -465,21 +465,28 @@ def linearize(
 
 
 def margins(
-    scene: SceneSource,
+    scene: SceneSource | SymbolicModel | Sequence[Any],
+    connections: Mapping[str, str] | None = None,
     *,
+    point: Mapping[str, float] | None = None,
     poses: int = 5,
     payload_band: float | tuple[float, float] | None = None,
     **parts: Unpack[Parts],
 ) -> MarginsResult:
-    """Gain, phase, delay and disk margins of the sampled loop of a torque-driven scene, about equilibria along its path.
+    """Gain, phase, delay and disk margins of the sampled loop of a torque-driven scene, about equilibria along its path, or of a loop
+    around a model from equations.
 
         result = flexfmu.margins("examples/controller_scene.toml")
         result.worst.gain_margin, result.to_pandas()
+        flexfmu.margins([axis, pd], {"axis.torque": "pd.torque", "pd.angle": "axis.angle"}).worst.phase_margin
 
-    Calls `flexfmu.cosim.design.margins.scene_margins.scene_margins`.
+    Calls `flexfmu.cosim.design.margins.scene_margins.scene_margins`, and for a model `model_margins` there.
 
     Args:
-        scene: a scene, the path of a scene file, or the name of a shipped scene; torques drive it, with controllers.
+        scene: a scene, the path of a scene file, or the name of a shipped scene; torques drive it, with controllers. Or a list as for
+            `simulate`: a model from equations, and what samples around it.
+        connections: of a list: ``slave.input`` → ``slave.output``.
+        point: state or input of a model → value; the start value for others.
         poses: number of equally spaced poses along the path, in addition to the worst ones, which are searched; 1 for its end alone.
         payload_band: payloads among which the worst one is searched too, unknown to the controllers: a fraction to both sides,
             or the lightest and the heaviest [kg].
@@ -491,14 +498,22 @@ def margins(
 
     Raises:
         SceneError: the scene doesn't exist, or one of its keys or values is invalid.
-        InputError: the scene has no loop, a slave can't be linearised, or sample times have no common period.
+        InputError: the scene has no loop, a slave can't be linearised, or sample times have no common period; or a list hasn't one model,
+            or can't be connected.
+        ModelError: a name of the point is unknown, or the model gives no finite number there.
         TrajectoryError: the motion is not feasible.
         EquilibriumError: the robot has no static equilibrium at a pose.
         TypeError: ``scene`` is of another type.
     """
     from flexfmu.cosim.design.gains.robustness import band_masses
-    from flexfmu.cosim.design.margins.scene_margins import scene_margins
+    from flexfmu.cosim.design.margins.scene_margins import model_margins, scene_margins
 
+    if not isinstance(scene, str) and isinstance(scene, SymbolicModel | Sequence):
+        if parts or payload_band is not None:
+            raise InputError("payload_band and parts are for scenes; controllers of a model are slaves beside it")
+        return model_margins([scene] if isinstance(scene, SymbolicModel) else scene, wires(connections), point or {})
+    if connections or point:
+        raise InputError("connections and point are for a loop around a model from equations")
     robot = resolved(with_parts(as_scene(scene), parts))
     return scene_margins(robot, poses=poses, payloads=() if payload_band is None else band_masses(robot, payload_band))
 

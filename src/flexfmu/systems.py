@@ -122,6 +122,19 @@ def _table(entry: Part, family: str) -> Any:
     return entry
 
 
+def wires(connections: Mapping[str, str] | None) -> list[tuple[str, str]]:
+    """Pairs (``slave.output``, ``slave.input``) of a user's connections.
+
+    Raises:
+        InputError: these are no dict.
+    """
+    if not isinstance(connections or {}, Mapping):
+        raise InputError(
+            f"connections give the source of each input, got {connections!r}: write {{'load.u': 'drive.y'}}"
+        )
+    return [(source, target) for target, source in (connections or {}).items()]
+
+
 def slave(
     source: Any,
     name: str | None = None,
@@ -204,12 +217,7 @@ def simulate(
         if isinstance(value, str) or not isfinite(value):
             raise InputError(f"{what} must be a finite number of seconds, got {value!r}")
     solver = Anderson() if loops else None
-    if not isinstance(connections or {}, Mapping):
-        raise InputError(
-            f"connections give the source of each input, got {connections!r}: write {{'load.u': 'drive.y'}}"
-        )
-    wires = [(source, target) for target, source in (connections or {}).items()]
-    system = connect_slaves(made, wires, loops=solver)
+    system = connect_slaves(made, wires(connections), loops=solver)
     return simulate_system(
         system,
         stop_time,

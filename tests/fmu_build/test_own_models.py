@@ -555,16 +555,58 @@ def test_linearised_about_a_point() -> None:
     assert list(oscillator.state_labels) == ["x0", "x1"]
     driven = flexfmu.linearize(forced(), {"y": 1.0})
     assert np.allclose(driven.A, [[0, 1], [-4, -0.1]])
-    # the margin of a sampled loop, by hand: b / (z - a)
-    lag = flexfmu.linearize(flexfmu.ode("lag", x={"x": 0.0}, u={"u": 0.0}, rhs=lambda x, u: 10 * u.u - x.x), {}, ["x"])
-    a, b = np.exp(-0.1), 10 * (1 - np.exp(-0.1))
-    crossing = np.exp(1j * np.arccos((1 + a**2 - b**2) / (2 * a)))
-    margin = control.margin(control.sample_system(lag, 0.1))[1]
-    assert margin == pytest.approx(180 - np.degrees(np.angle(crossing - a)))
     with pytest.raises(ModelError, match="no state or input 'phi'"):
         flexfmu.linearize(cart_pole(), {"phi": 0.0})
     with pytest.raises(flexfmu.InputError, match="by name"):
         flexfmu.linearize(cart_pole(), (0.0, 1.0))
+
+
+def test_margins_are_those_of_python_control() -> None:
+    """Loops of drawn motors with elastic shafts: their margins are where the loop of python-control's sampled plant becomes unstable."""
+    rng = np.random.default_rng(0)
+    stable = 0
+    for seed in range(8):
+        load, stiffness, damping, kp, kd = np.exp(rng.uniform(-1.0, 1.0, 5)) * [1.0, 200.0, 0.3, 20.0, 4.0]
+        shaft = flexfmu.second_order(
+            "shaft",
+            q={"motor": 0.1, "load": 0.1},
+            u={"torque": flexfmu.variable(0.0, "N.m")},
+            residual=lambda q, v, a, u, j=load, k=stiffness, d=damping: [
+                a.motor + k * (q.motor - q.load) + d * (v.motor - v.load) - u.torque + 0.1 * casadi.sin(q.motor),
+                j * a.load + k * (q.load - q.motor) + d * (v.load - v.motor),
+            ],
+        )
+        pd = control.ss([], [], [], [[-kp, -kd]], 5e-3, inputs=["angle", "rate"], outputs=["torque"])
+        sensed = "load" if seed % 3 == 0 else "motor"
+        wires = {"shaft.torque": "controller.torque", "controller.angle": f"shaft.{sensed}"}
+        wires["controller.rate"] = f"shaft.der({sensed})"
+        found = flexfmu.margins([shaft, pd], wires, point={"motor": 0.3, "load": 0.2})
+        plant = flexfmu.linearize(shaft, {"motor": 0.3, "load": 0.2}, [sensed, f"der({sensed})"])
+        loop = control.sample_system(plant, 5e-3)
+
+        def radius(factor: complex, loop: Any = loop, pd: Any = pd) -> float:
+            return float(abs(np.linalg.eigvals(loop.A + factor * loop.B @ pd.D @ loop.C)).max())
+
+        assert found.is_stable == (radius(1.0) < 1.0)
+        if not found.is_stable:
+            assert "unstable at the point" in found.verdict
+            continue
+        stable, worst = stable + 1, found.worst
+        gains = [g for g in (worst.gain_margin, worst.gain_reduction) if 0.0 < g < np.inf]
+        for critical in (*gains, np.exp(-1j * worst.phase_margin)):
+            assert radius(critical) == pytest.approx(1.0, abs=1e-7)
+            assert all(radius(complex(critical) ** share) < 1.0 for share in np.linspace(0.0, 0.99, 20))
+        response = (-pd * loop).frequency_response(np.geomspace(0.1, np.pi / 5e-3, 2000)).complex
+        assert worst.sensitivity_peak == pytest.approx(abs(1 / (1 + response)).max(), rel=2e-3)
+    assert 3 < stable < 8
+    free = {"shaft.torque": "controller.torque"}
+    for message, slaves, connections in (
+        ("no sampled controller feeds shaft and is fed by it", [shaft, pd], free),
+        ("got 0 models", [pd], {}),
+        ("samples inside", [sampled(), pd], {}),
+    ):
+        with pytest.raises(flexfmu.InputError, match=message):
+            flexfmu.margins(slaves, connections)
 
 
 def test_command_builds_the_model_of_a_file(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import pairwise
-from math import atan, exp, inf, isfinite, log, nan, pi
+from math import atan, exp, inf, isfinite, isnan, log, nan, pi
 from typing import Any
 
 import numpy as np
@@ -103,7 +103,7 @@ class PoseMargins:
     """Margins about an equilibrium.
 
     Attributes:
-        s: where on the path, 0 to 1.
+        s: where on the path, 0 to 1; NaN, as position and joints, about a point of a model.
         position: x and y of the end effector [m].
         joints: joint angles [rad].
         radius: largest magnitude of an eigenvalue over a period; below 1 the loop is stable.
@@ -126,6 +126,11 @@ class PoseMargins:
     def is_stable(self) -> bool:
         """Whether the loop is stable."""
         return self.radius < 1.0
+
+    def place(self, with_payload: bool = False) -> str:
+        """Where it is, in words."""
+        payload = f", {self.payload:.4g} kg" if with_payload else ""
+        return "the point" if isnan(self.s) else f"path {self.s:.2f}{payload}"
 
     @property
     def measures(self) -> tuple[float, ...]:

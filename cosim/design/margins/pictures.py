@@ -124,7 +124,7 @@ def loop_curves(poses: Sequence[PoseMargins]) -> list[LoopCurve]:
     """The open loops at all poses and single cuts up to half the sampling frequency, the smallest disk margin first."""
     found, several = [], len({pose.payload for pose in poses}) > 1
     for pose in poses:
-        place = f"path {pose.s:.2f}" + (f", {pose.payload:.4g} kg" if several else "")
+        place = pose.place(several)
         for row, cut in zip(pose.loops, pose.open, strict=True):
             if row.channel == ALL:
                 continue
@@ -266,7 +266,7 @@ def draw_root_locus(poses: Sequence[PoseMargins], linear: Sequence[LinearLoop], 
             now, *values = np.linalg.eigvals(loop.lifted.closed(factors))
             points, colour = np.concatenate(values), f"C{k % 10}"
             axes.plot(points.real, points.imag, ".", markersize=1.5, color=colour)
-            axes.plot(now.real, now.imag, "x", color=colour, label=f"path {pose.s:.2f}")
+            axes.plot(now.real, now.imag, "x", color=colour, label=pose.place())
         axes.set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), xlabel="real part", ylabel="imaginary part")
         axes.set_aspect("equal", adjustable="box")
         axes.set_title(

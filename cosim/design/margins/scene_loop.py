@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from flexfmu.cosim.design.margins.linear_loop import Continuous, LinearLoop
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.simulator import is_foreign
-from flexfmu.cosim.engine.master.system import AlgebraicLoop, Connection, System, connect
+from flexfmu.cosim.engine.master.system import Connection, System, connect
 from flexfmu.cosim.engine.slave import Sampled, Slave, SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.scene_loop import Loop
@@ -29,117 +29,83 @@ from flexfmu.model.contract import LinearPlant
 from flexfmu.model.linear import linear_plant, without_coulomb_friction
 from flexfmu.model.plants import torque_driven_plant
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import SymbolicModel
 from flexfmu.trajectories.jets import RealArray
 
 MODEL_BASED = ("computed-torque", "disturbance-observer")
 """Kinds of controllers with a model of the robot's motion."""
 
 
-class WiredLoop:
-    """The slaves of a scene's loop and their connections; `at` linearises them at a pose.
+class WiredSystem:
+    """Connected slaves around a plant; `about` linearises them.
 
     Args:
-        scene: the scene, driven by torques.
-        loop: its planned motion, controllers, shapers and imperfections.
-        robot: the robot's FMU, if there is one; otherwise its variables are those of its model.
+        system: the slaves and their connections.
+        plant: index of the plant, which is linear already.
+        models: names of the controllers with a model of the plant's motion begin with one of these.
 
     Attributes:
         system: the system.
+        measured: names of the plant's outputs that something takes.
         sampled: indices of the sampled slaves.
 
     Raises:
-        InputError: no controller feeds the robot, or slaves can't be connected or linearised.
+        InputError: a slave in the loop can't be linearised.
     """
 
-    def __init__(self, scene: Scene, loop: Loop, robot: Slave | None = None) -> None:
-        if scene.cosimulation.drive != "torque" or not loop.controllers:
-            raise InputError(
-                f'scene {scene.name} has no loop: margins need `cosimulation.drive = "torque"` and a [[controller]]'
-            )
-        # disturbances come from outside of the loop
-        scene = scene.model_copy(update={"disturbance": ()})
-        robot = robot or _robot(scene)
-        references = TrajectorySlave(loop.driving, name=REFERENCES)
-        wiring = wire(references, robot, loop.controllers, loop.inline_blocks, loop.connect)
-        slaves: list[Slave] = [references, robot, *loop.controllers, *(each.slave for each in loop.inline_blocks)]
-        self.system: System = connect(slaves, wiring.connections)
-        # the real robot for small motions: with its own payload, and without Coulomb friction
-        self._scene = without_coulomb_friction(scene.replace(dict(loop.parameters)) if loop.parameters else scene)
-        sections = [each for each in scene.controller if each.kind in MODEL_BASED]
-        self._models = tuple(each.name or each.kind.replace("-", "_") for each in sections)
-        if any(isinstance(each, AlgebraicLoop) for each in self.system.exchange_order):
-            raise InputError(f"scene {scene.name} has an algebraic loop, which can't be linearised")
-        self.sampled = [i for i, slave in enumerate(self.system.slaves) if isinstance(slave, Sampled)]
-        self._lags = [(i, slave) for i, slave in enumerate(self.system.slaves) if isinstance(slave, Lag)]
-        for i, slave in enumerate(self.system.slaves):
-            if i > 1 and i not in self.sampled and not isinstance(slave, Lag):
-                raise InputError(f"{slave.name} can't be linearised: it is neither sampled nor a lag")
+    def __init__(self, system: System, plant: int, models: tuple[str, ...] = ()) -> None:
+        self.system, self._plant, self._models = system, plant, models
+        self.sampled = [i for i, slave in enumerate(system.slaves) if isinstance(slave, Sampled)]
+        self._lags = [(i, slave) for i, slave in enumerate(system.slaves) if isinstance(slave, Lag)]
+        for i in self._looped - {plant, *self.sampled, *(i for i, _ in self._lags)}:
+            raise InputError(f"{system.slaves[i].name} can't be linearised: it is neither sampled nor a lag")
         self._feeding: dict[tuple[int, str], Connection] = {
-            (each.target, self.system.slaves[each.target].variables[each.input].name): each
-            for each in self.system.connections
+            (each.target, system.slaves[each.target].variables[each.input].name): each for each in system.connections
         }
-        # signals: outputs of the robot that something takes, then of lags; outputs of sampled slaves
-        taken = {each.output for each in self.system.connections if self.system.slaves[each.source].name == PLANT}
-        self._measured = [robot.variables[i].name for i in sorted(taken)]
+        # signals: outputs of the plant that something takes, then of lags; outputs of sampled slaves
+        taken = {each.output for each in system.connections if each.source == plant}
+        self.measured = [system.slaves[plant].variables[i].name for i in sorted(taken)]
         lagged = [(i, name) for i, lag in self._lags for name in _names(lag, "output")]
-        self._signals = {source: k for k, source in enumerate([*((1, name) for name in self._measured), *lagged])}
-        held = [(i, name) for i in self.sampled for name in _names(self.system.slaves[i], "output")]
+        self._signals = {source: k for k, source in enumerate([*((plant, name) for name in self.measured), *lagged])}
+        held = [(i, name) for i in self.sampled for name in _names(system.slaves[i], "output")]
         self._outputs = {source: k for k, source in enumerate(held)}
 
-    @property
-    def payload(self) -> float:
-        """The robot's own payload [kg]."""
-        return self._scene.payload.mass
-
-    def at(
+    def about(
         self,
-        position: tuple[float, float],
+        plant: LinearPlant,
+        *,
         identify: bool = True,
-        velocity: RealArray | None = None,
-        payload: float | None = None,
+        resting: Mapping[tuple[int, str], float] = MappingProxyType({}),
+        moving: Mapping[str, float] = MappingProxyType({}),
     ) -> tuple[LinearLoop, tuple[str, ...]]:
-        """The linear loop about the equilibrium at a place of the end effector [m], and the names of its channels.
+        """The linear loop, and the names of its channels: the plant's inputs that sampled slaves feed.
 
         Args:
-            position: the place.
+            plant: the linear plant with the outputs `measured`.
             identify: whether Python functions and FMUs are called to find their linear blocks.
-            velocity: of the joints (2,) [rad/s], at which controllers have the gains that they have there; the robot stands still.
-            payload: mass [kg] of the robot's payload instead of its own; controllers assume what they did.
+            resting: values of further signals at the plant's point, by slave and name.
+            moving: signals that the motion changes, and their values, for which controllers have the gains that they have there.
 
         Raises:
             InputError: a slave can't be linearised, or the loop isn't closed.
-            ValueError, EquilibriumError: see `linear_plant`.
         """
-        scene = self._scene if payload is None else self._scene.replace({"payload.mass": payload})
-        plant = kept_plant(scene, position, self._measured)
         channels = self._channels(plant)
-        if not channels:
-            raise InputError("no torque of the robot comes from a sampled controller: there is no loop with margins")
-        blocks = self._blocks(plant, identify, self._moving(plant, velocity))
+        if not channels or self._looped == {self._plant}:
+            name = self.system.slaves[self._plant].name
+            raise InputError(f"no sampled controller feeds {name} and is fed by it: there is no loop with margins")
+        blocks = self._blocks(plant, identify, resting, moving)
         order = [i for i in self.system.exchange_steps if i in self.sampled]
         calls = tuple(self.sampled.index(i) for i in order)
         continuous = self._continuous(plant, list(channels.values()))
         loop = LinearLoop(continuous, tuple(blocks), calls, self._inputs(), tuple(channels.values()))
         return loop, tuple(channels)
 
-    def _moving(self, plant: LinearPlant, velocity: RealArray | None) -> dict[str, float]:
-        """Signals that a velocity of the joints changes, and their values; empty for standstill."""
-        if velocity is None or not velocity.any():
-            return {}
-        n = len(plant.a) // 2
-        found = dict(zip(plant.outputs, (plant.rest[1] + plant.c[:, n : n + 2] @ velocity).tolist(), strict=True))
-        found = {name: value for name, value in found.items() if ".velocity" in name}
-        for joint, value in zip(("joint1", "joint2"), velocity.tolist(), strict=True):
-            found |= {f"{joint}.{kind}velocity": value for kind in ("", "reference.", "command.")}
-        return found
-
-    def _blocks(self, plant: LinearPlant, identify: bool, moving: Mapping[str, float]) -> list[LinearBlock]:
+    def _blocks(
+        self, plant: LinearPlant, identify: bool, resting: Mapping[tuple[int, str], float], moving: Mapping[str, float]
+    ) -> list[LinearBlock]:
         """The sampled slaves, linearised at the values that their inputs have at rest."""
-        values = dict(zip(((1, name) for name in plant.outputs), plant.rest[1].tolist(), strict=True))
-        positions = {f"{joint}.reference.position": f"{joint}.position" for joint in ("joint1", "joint2")}
-        for reference, measured in positions.items():
-            if (1, measured) in values:
-                values[0, reference] = values[1, measured]
+        own = zip(((self._plant, name) for name in plant.outputs), plant.rest[1].tolist(), strict=True)
+        values = {**resting, **dict(own)}
         found: dict[int, LinearBlock] = {}
         seen: dict[int, RealArray] = {}
         # twice, as torques may come from slaves further on
@@ -196,9 +162,9 @@ class WiredLoop:
 
     @cached_property
     def _looped(self) -> set[int]:
-        """Slaves that the robot reaches and that reach it."""
+        """Slaves that the plant reaches and that reach it."""
         pairs = {(each.source, each.target) for each in self.system.connections}
-        return _reachable(pairs) & _reachable({(target, source) for source, target in pairs})
+        return _reachable(pairs, self._plant) & _reachable({(target, source) for source, target in pairs}, self._plant)
 
     def _value(self, values: Mapping[tuple[int, str], float], slave: int, name: str) -> float:
         """The value of an input at rest."""
@@ -227,10 +193,10 @@ class WiredLoop:
         return tuple(found)
 
     def _channels(self, plant: LinearPlant) -> dict[str, int]:
-        """Input of the robot → index of the sampled output that feeds it, through lags if there are some."""
+        """Input of the plant → index of the sampled output that feeds it, through lags if there are some."""
         found = {}
         for name in plant.inputs:
-            feeding = self._feeding.get((1, name))
+            feeding = self._feeding.get((self._plant, name))
             while feeding is not None and isinstance(self.system.slaves[feeding.source], Lag):
                 slave, output = self._source(feeding)
                 lag = self.system.slaves[slave]
@@ -240,7 +206,7 @@ class WiredLoop:
         return found
 
     def _continuous(self, plant: LinearPlant, channels: list[int]) -> Continuous:
-        """Robot and lags: states [x, outputs of lags]."""
+        """Plant and lags: states [x, outputs of lags]."""
         n = len(plant.a)
         lags = [(i, lag, k) for i, lag in self._lags for k in range(len(_names(lag, "output")))]
         size, outputs, signals = n + len(lags), len(self._outputs), len(self._signals)
@@ -260,13 +226,14 @@ class WiredLoop:
             elif source in self._outputs:
                 held[rows, self._outputs[source]] += by_rate
                 c_held[out, self._outputs[source]] += by_signal
-            elif source[0] == 1:
+            elif source[0] == self._plant:
+                name = self.system.slaves[self._plant].name
                 raise InputError(
-                    "an output of the robot feeds the robot or a lag directly: margins need a sampled slave between"
+                    f"an output of {name} feeds {name} or a lag directly: margins need a sampled slave between"
                 )
 
         for k, name in enumerate(plant.inputs):
-            if (feeding := self._feeding.get((1, name))) is not None:
+            if (feeding := self._feeding.get((self._plant, name))) is not None:
                 feed(self._source(feeding), plant.b[:, k], plant.d[:, k], slice(0, n), slice(0, len(plant.outputs)))
         for j, (i, lag, k) in enumerate(lags):
             rate, row = 1.0 / lag.latency[_names(lag, "output")[k]], n + j
@@ -277,11 +244,89 @@ class WiredLoop:
         return Continuous(a, c, (held, c_held), (by_channel, c_channel))
 
 
-def _robot(scene: Scene) -> Any:
-    """Stands for the robot's FMU, of which only the variables matter."""
-    plant = torque_driven_plant(scene)
+class WiredLoop:
+    """The slaves of a scene's loop and their connections; `at` linearises them at a pose.
+
+    Args:
+        scene: the scene, driven by torques.
+        loop: its planned motion, controllers, shapers and imperfections.
+        robot: the robot's FMU, if there is one; otherwise its variables are those of its model.
+
+    Attributes:
+        system: the system.
+        sampled: indices of the sampled slaves.
+
+    Raises:
+        InputError: no controller feeds the robot, or slaves can't be connected or linearised.
+    """
+
+    def __init__(self, scene: Scene, loop: Loop, robot: Slave | None = None) -> None:
+        if scene.cosimulation.drive != "torque" or not loop.controllers:
+            raise InputError(
+                f'scene {scene.name} has no loop: margins need `cosimulation.drive = "torque"` and a [[controller]]'
+            )
+        # disturbances come from outside of the loop
+        scene = scene.model_copy(update={"disturbance": ()})
+        robot = robot or standing_for(torque_driven_plant(scene), PLANT)
+        references = TrajectorySlave(loop.driving, name=REFERENCES)
+        wiring = wire(references, robot, loop.controllers, loop.inline_blocks, loop.connect)
+        slaves: list[Slave] = [references, robot, *loop.controllers, *(each.slave for each in loop.inline_blocks)]
+        self.system: System = connect(slaves, wiring.connections)
+        # the real robot for small motions: with its own payload, and without Coulomb friction
+        self._scene = without_coulomb_friction(scene.replace(dict(loop.parameters)) if loop.parameters else scene)
+        sections = [each for each in scene.controller if each.kind in MODEL_BASED]
+        models = tuple(each.name or each.kind.replace("-", "_") for each in sections)
+        self._wired = WiredSystem(self.system, 1, models)
+        self.sampled = self._wired.sampled
+
+    @property
+    def payload(self) -> float:
+        """The robot's own payload [kg]."""
+        return self._scene.payload.mass
+
+    def at(
+        self,
+        position: tuple[float, float],
+        identify: bool = True,
+        velocity: RealArray | None = None,
+        payload: float | None = None,
+    ) -> tuple[LinearLoop, tuple[str, ...]]:
+        """The linear loop about the equilibrium at a place of the end effector [m], and the names of its channels.
+
+        Args:
+            position: the place.
+            identify: see `WiredSystem.about`.
+            velocity: of the joints (2,) [rad/s], at which controllers have the gains that they have there; the robot stands still.
+            payload: mass [kg] of the robot's payload instead of its own; controllers assume what they did.
+
+        Raises:
+            InputError: see `WiredSystem.about`.
+            ValueError, EquilibriumError: see `linear_plant`.
+        """
+        scene = self._scene if payload is None else self._scene.replace({"payload.mass": payload})
+        plant = kept_plant(scene, position, self._wired.measured)
+        values = dict(zip(plant.outputs, plant.rest[1].tolist(), strict=True))
+        places = {f"{joint}.reference.position": f"{joint}.position" for joint in ("joint1", "joint2")}
+        resting = {(0, reference): values[measured] for reference, measured in places.items() if measured in values}
+        return self._wired.about(plant, identify=identify, resting=resting, moving=_moving(plant, velocity))
+
+
+def _moving(plant: LinearPlant, velocity: RealArray | None) -> dict[str, float]:
+    """Signals that a velocity of the joints changes, and their values; empty for standstill."""
+    if velocity is None or not velocity.any():
+        return {}
+    n = len(plant.a) // 2
+    found = dict(zip(plant.outputs, (plant.rest[1] + plant.c[:, n : n + 2] @ velocity).tolist(), strict=True))
+    found = {name: value for name, value in found.items() if ".velocity" in name}
+    for joint, value in zip(("joint1", "joint2"), velocity.tolist(), strict=True):
+        found |= {f"{joint}.{kind}velocity": value for kind in ("", "reference.", "command.")}
+    return found
+
+
+def standing_for(plant: SymbolicModel, name: str) -> Any:
+    """Stands for the FMU of a plant, of which only the variables matter."""
     variables = [SlaveVariable(each.name, each.causality, each.unit) for each in (*plant.inputs, *plant.outputs)]
-    return SimpleNamespace(name=PLANT, variables=tuple(variables), feedthrough=plant.feedthrough)
+    return SimpleNamespace(name=name, variables=tuple(variables), feedthrough=plant.feedthrough)
 
 
 def kept_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[str]) -> LinearPlant:
@@ -315,9 +360,9 @@ def _linearised(slave: Slave, inputs: RealArray, identify: bool) -> tuple[Linear
     return found
 
 
-def _reachable(pairs: set[tuple[int, int]]) -> set[int]:
-    """What the robot reaches by pairs from one slave to another."""
-    found = {1}
+def _reachable(pairs: set[tuple[int, int]], start: int) -> set[int]:
+    """What a slave reaches by pairs from one slave to another."""
+    found = {start}
     while more := {target for source, target in pairs if source in found} - found:
         found |= more
     return found

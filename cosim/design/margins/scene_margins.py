@@ -1,4 +1,4 @@
-"""Margins of a scene's loop at poses along its path; as a table for the terminal, as plain data, and as files."""
+"""Margins of a scene's loop at poses along its path, or of a loop around a model; as a table for the terminal, as plain data, and as files."""
 
 from __future__ import annotations
 
@@ -17,15 +17,19 @@ from flexfmu.cosim.design.margins.course import PathLoop, Place, least_places, w
 from flexfmu.cosim.design.margins.linear_loop import LinearLoop
 from flexfmu.cosim.design.margins.loop_warnings import coarse_counts
 from flexfmu.cosim.design.margins.margins import LoopMargins, PoseMargins, pose_margins
-from flexfmu.cosim.design.margins.scene_loop import WiredLoop
+from flexfmu.cosim.design.margins.scene_loop import WiredLoop, WiredSystem, standing_for
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import OutputFolder, replacing
+from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.showing import Rows
 from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
 from flexfmu.cosim.metrics.metric_table import LOOP_FIGURES
 from flexfmu.cosim.reports.terminal import titled_table
+from flexfmu.fmu_build.own_models import linear_about
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import SymbolicModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,16 +46,16 @@ BETTER_IF_LESS = ("gain_reduction", "sensitivity_peak")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MarginsResult(Rows):
-    """Margins of a loop along a path.
+    """Margins of a loop along a path, or about a point of a model.
 
     Attributes:
-        scene: the scene.
-        poses: margins at the poses that were asked for and at the worst ones, from start to end, then with other payloads.
+        scene: the scene, or the model from equations.
+        poses: margins at the poses that were asked for and at the worst ones, from start to end, then with other payloads; one of a model.
         linear: the linear loop at each pose.
         coarse_counts: what there is to say of encoders that are too coarse for the gains; None for fine ones.
     """
 
-    scene: Scene
+    scene: Scene | SymbolicModel
     poses: tuple[PoseMargins, ...]
     linear: tuple[LinearLoop, ...]
     coarse_counts: str | None = None
@@ -95,10 +99,10 @@ class MarginsResult(Rows):
             )
         several = len({each.payload for each in self.poses}) > 1
         unstable = [each for each in self.poses if not each.is_stable]
-        where = "; ".join(f"{each.s:.2f}" + (f", {each.payload:.4g} kg" if several else "") for each in unstable)
+        where = "; ".join(each.place(several) for each in unstable)
         growth = max(pose.poles[0].real for pose in self.poses)
         return (
-            f"The loop is unstable at path {where}: small motions grow tenfold in {1e3 * log(10.0) / growth:.3g} ms "
+            f"The loop is unstable at {where}: small motions grow tenfold in {1e3 * log(10.0) / growth:.3g} ms "
             f"(eigenvalues over a period reach {max(pose.radius for pose in self.poses):.4g})."
         )
 
@@ -176,6 +180,35 @@ def scene_margins(
     results = [found[each] for each in chosen]
     counts = coarse_counts(scene, loop, wired)
     return MarginsResult(scene, tuple(pose for pose, _ in results), tuple(linear for _, linear in results), counts)
+
+
+@one_blas_thread()
+def model_margins(slaves: Sequence[Any], wires: Sequence[tuple[str, str]], point: Mapping[str, float]) -> MarginsResult:
+    """The margins of a loop around a model from equations, about a point.
+
+    Args:
+        slaves: the model, and what samples around it, as `flexfmu.simulate` takes them.
+        wires: pairs (``slave.output``, ``slave.input``).
+        point: state or input of the model → value; the start value for others.
+
+    Raises:
+        InputError: there isn't one model, it has sampled parts, the slaves can't be connected or linearised, or there is no loop.
+        ModelError: the point has an unknown name, or the model gives no finite number there.
+    """
+    models = [k for k, each in enumerate(slaves) if isinstance(each, SymbolicModel)]
+    if len(models) != 1:
+        raise InputError(
+            f"margins need one model from equations and its controllers, margins([axis, pd], {{'axis.torque': 'pd.torque'}}), "
+            f"got {len(models)} models"
+        )
+    model, names = slaves[models[0]], SlaveNames(())
+    if any(each.at_start and each.is_instant for each in model.events):
+        raise InputError(f"model '{model.name}' samples inside: margins need its parts as slaves beside it")
+    made = [standing_for(each, names.of_file(each.name)) if each is model else as_slave(each, names) for each in slaves]
+    wired = WiredSystem(connect(made, wires), models[0])
+    linear, channels = wired.about(linear_about(model, point, wired.measured))
+    pose = pose_margins(linear, channels, nan, (nan, nan), (nan, nan))
+    return MarginsResult(model, (pose,), (linear,))
 
 
 HEADS = ("gain", "less", "phase\n°", "delay\nms", "disk", "peak\nS", "band-\nwidth\nHz", "cross-\nover\nHz")
