@@ -95,7 +95,6 @@ ALONE = {
     "cosim.reports.report": "the page of a run",
     "cosim.studies.paper.figures": "drawing",
     "cosim.studies.paper.report": "a command",
-    "cosim.studies.sweep.model_sweep": "variants of a model from equations",
     "cosim.studies.sweep.picture": "drawing",
     "cosim.studies.workprec.figures": "drawing",
     "cosim.studies.workprec.solver_trials": "other solvers and equations for them, which hard cases use too",

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from flexfmu.cosim.engine.results import Recording
     from flexfmu.cosim.engine.showing import ShowProgress
     from flexfmu.model.scene.schema import Scene
+    from flexfmu.model.symbolic import SymbolicBlock, SymbolicModel
 
 
 PIPED_WIDTH = 120
@@ -415,6 +416,32 @@ def load_changed(source: str, settings: Sequence[str] | None) -> Scene:
     if hint := basis_hint(scene):
         _hints.append(f"{hint} ({source})")
     return scene
+
+
+def own_model(source: str, settings: Sequence[str] | None) -> SymbolicModel | SymbolicBlock | None:
+    """The model ``MODEL.py:NAME`` of a Python file, which is run; None for anything else.
+
+    Raises:
+        InputError: the file doesn't exist, fails, or has no model of this name, or there are changes by ``--set``.
+    """
+    own = re.fullmatch(r"(.+\.py)(?::(\w*))?", source)
+    if own is None:
+        return None
+    from flexfmu.cosim.experiment.user_slaves import from_source
+    from flexfmu.model.symbolic import SymbolicBlock, SymbolicModel
+
+    path, name = Path(own[1]), own[2] or ""
+    if settings:
+        raise InputError(f"--set changes a scene; {path} has a model: change it there, or set the FMU's parameters")
+    if not path.is_file():
+        raise InputError(f"there is no file {path}")
+    known = from_source(f"{path.stem}:__dict__", {}, path.parent)
+    found = from_source(f"{path.stem}:{name}", {}, path.parent) if name in known else None
+    if isinstance(found, SymbolicModel | SymbolicBlock):
+        return found
+    models = [f"{path}:{each}" for each, value in known.items() if isinstance(value, SymbolicModel | SymbolicBlock)]
+    remedy = f"take {' or '.join(models)}" if models else "make one with flexfmu.ode, second_order, lagrangian or dae"
+    raise InputError(f"{source} is no model; {remedy}")
 
 
 def scene_name(source: str, settings: Sequence[str] | None) -> str:

@@ -3,16 +3,16 @@ one SSP file, checks of any FMU, FMUs for model exchange with an integrator, and
 
 from __future__ import annotations
 
-import re
 from dataclasses import asdict
 from math import gcd, inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from flexfmu.cosim.cli import console
-from flexfmu.cosim.engine.errors import FmuFileError, InputError
+from flexfmu.cosim.engine.errors import FmuFileError
+from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.naming import Naming
 from flexfmu.fmu_build.toolchain import FmiVersion
@@ -45,12 +45,23 @@ def build(
     """
     from flexfmu.cosim.experiment.scene_build import build_scene
     from flexfmu.cosim.reports.summary import choice_summary
+    from flexfmu.fmu_build.build import build_fmu
     from flexfmu.model.choice_text import choice_sentence
 
-    if (own := re.fullmatch(r"(.+\.py):(\w+)", scene)) is not None:
-        return _build_own(Path(own[1]), own[2], output, platform, naming, enumerations, fmi, settings, json)
-    if scene.endswith(".py"):
-        raise InputError(f"{scene} is a Python file; add the name of its model, as in {scene}:model")
+    def options(show: ShowProgress) -> dict[str, Any]:
+        return {
+            "platforms": platform or None,
+            "naming": naming,
+            "enumerations": enumerations,
+            "fmi": fmi,
+            "progress": lambda text: show(text, None),
+        }
+
+    if (model := console.own_model(scene, settings)) is not None:
+        with console.progress() as show:
+            built = build_fmu(model, output or Path(f"{model.name}.fmu"), **options(show))
+        console.print_result(json, asdict(built) | {"path": str(built.path)}, _where(built))
+        return 0
     # choose effects where the scene leaves them open, then build
     robot = console.load_changed(scene, settings)
     target = output or Path(f"{robot.name}.fmu")
@@ -59,15 +70,7 @@ def build(
             from flexfmu.cosim.design.effects.choice import resolved
 
             robot = resolved(robot, show)
-        built = build_scene(
-            robot,
-            output=target,
-            platforms=platform or None,
-            naming=naming,
-            enumerations=enumerations,
-            fmi=fmi,
-            progress=lambda text: show(text, None),
-        )
+        built = build_scene(robot, output=target, **options(show))
     choice = choice_summary(robot)
     data = asdict(built) | {"path": str(built.path)} | ({"effect_choice": choice} if choice else {})
     sentences = [choice_sentence(robot)] if robot.effects.choice is not None else []
@@ -82,45 +85,6 @@ def _where(built: BuiltFmu) -> str:
         f"{built.path}: {origin} in {built.seconds:.2f} s, {built.fmu_bytes / 1000:.0f} kB "
         f"({built.code_bytes / 1000:.0f} kB of generated C), GUID {built.guid}"
     )
-
-
-def _build_own(
-    file: Path,
-    name: str,
-    output: Path | None,
-    platform: list[str] | None,
-    naming: Naming,
-    enumerations: bool,
-    fmi: FmiVersion,
-    settings: list[str] | None,
-    json: bool,
-) -> int:
-    """Build the FMU of the model with a name in a Python file, which is run."""
-    from flexfmu.cosim.experiment.user_slaves import from_source
-    from flexfmu.fmu_build.build import build_fmu
-    from flexfmu.model.symbolic import SymbolicBlock, SymbolicModel
-
-    if settings:
-        raise InputError(f"--set changes a scene; {file} has a model: change it there, or set the FMU's parameters")
-    if not file.is_file():
-        raise InputError(f"there is no file {file}")
-    model = from_source(f"{file.stem}:{name}", {}, file.parent)
-    if not isinstance(model, SymbolicModel | SymbolicBlock):
-        raise InputError(
-            f"{name} of {file} is a {type(model).__name__}, not a model; make it with flexfmu.ode, second_order, lagrangian or dae"
-        )
-    with console.progress() as show:
-        built = build_fmu(
-            model,
-            output or Path(f"{model.name}.fmu"),
-            platforms=platform or None,
-            naming=naming,
-            enumerations=enumerations,
-            fmi=fmi,
-            progress=lambda text: show(text, None),
-        )
-    console.print_result(json, asdict(built) | {"path": str(built.path)}, _where(built))
-    return 0
 
 
 def fmus(

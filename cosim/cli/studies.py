@@ -14,6 +14,7 @@ from flexfmu.cosim.cli.console import (
     files_sentence,
     load_named,
     load_resolved,
+    own_model,
     prepared_folder,
     print_result,
     print_text,
@@ -283,16 +284,21 @@ def sweep(
     restart: bool = False,
     dask: str | None = None,
     plot: bool | None = None,
+    stop_time: float | None = None,
+    step: float | None = None,
     sandbox: bool = False,
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
-    """Simulate many variants of a scene: writes sweep.csv (and sweep.parquet) with the metrics of each, and a picture.
+    """Simulate many variants of a scene, or of a model from equations: writes sweep.csv (and sweep.parquet) with the metrics of each, and
+    a picture.
 
     Every finished case is kept at once. After Ctrl-C or a crash the same command continues, and ends with the same
     table. A case that fails is a line with its message.
 
     Args:
+        scene (SCENE): A scene, or MODEL.py:NAME, a Python file, which is run, and the name of its model; the keys are its parameters, the
+            metrics smallest, largest and last values of its outputs, or of those to record.
         vary (KEY=VALUES): A key of the scene and its values: payload.mass=0:8:50 (from, to, number),
             trajectory.duration=0.3,0.4, controller.pd.derivative=50:200 (an interval for --sample). May be repeated: all
             combinations. Default: nothing.
@@ -308,24 +314,38 @@ def sweep(
         restart: Discard the results of another sweep in the folder. Default: refuse.
         dask (ADDRESS): Simulate on the workers of this Dask scheduler, tcp://host:8786. Default: this machine.
         plot: Draw sweep.png and sweep.svg. Default: draw them, but with --json don't.
+        stop_time (SECONDS): End of a model's runs. Default: a scene has its own.
+        step (SECONDS): Communication step of a model's runs. Default: a scene has its own.
     """
     from flexfmu.cosim.engine.results import Selection
+    from flexfmu.cosim.studies.sweep.model_sweep import sweep_model
     from flexfmu.cosim.studies.sweep.result import write_files
     from flexfmu.cosim.studies.sweep.sweep import ready_to_sweep, sweep_scene
+    from flexfmu.model.symbolic import SymbolicBlock
 
     if sandbox:
         from flexfmu.cosim.cli.sandbox import run_in_sandbox
 
-        folder = out or usual_folder(scene_name(scene, settings), settings, "-sweep")
+        name = scene.rpartition(":")[2] if ".py:" in scene else scene_name(scene, settings)
+        folder = out or usual_folder(name, settings, "-sweep")
         if (status := run_in_sandbox(folder)) is not None:
             return status
-    robot = load_resolved(scene, settings, keeps_accuracy=True)
+    model = own_model(scene, settings)
+    if isinstance(model, SymbolicBlock):
+        raise InputError(f"{scene} is a block without motion of its own; sweep a model that has it as a part")
+    given = {"--metrics": metrics, "--record-step": record_step, "--processes": processes, "--dask": dask}
+    alien = [name for name, value in given.items() if value is not None] if model else []
+    if alien:
+        raise InputError(f"{alien[0]} is for scenes; of a model all outputs are measured, or those of --record")
+    if (stop_time is None or step is None) if model else (stop_time is not None or step is not None):
+        raise InputError("--stop-time and --step in s are for models from equations, which need both")
+    robot = None if model else load_resolved(scene, settings, keeps_accuracy=True)
     wanted = _swept_cases(robot, vary or [], sample, seed, cases)
     if record_step is not None and not record:
         raise InputError("--record-step goes with --record SIGNAL")
     selection = Selection(list(dict.fromkeys(record)), step=record_step) if record else None
     names = None if metrics is None else [each.strip() for text in metrics for each in text.split(",")]
-    folder = out or usual_folder(robot.name, settings, "-sweep")
+    folder = out or usual_folder(scene.rpartition(":")[2] if robot is None else robot.name, settings, "-sweep")
     done = [0, 0]
     try:
         with progress() as show:
@@ -336,17 +356,21 @@ def sweep(
                 done[:] = finished, total
                 show(f"{finished} of {total} cases", finished / total if total else 1.0)
 
-            result = sweep_scene(
-                ready_to_sweep(robot, wanted, show, show_note),
-                wanted,
-                metrics=names,
-                record=selection,
-                processes=processes,
-                folder=folder,
-                restart=restart,
-                dask=dask,
-                show=report,
-            )
+            if model is not None:
+                times = stop_time or 0.0, step or 0.0
+                result = sweep_model(model, wanted, *times, record=record, folder=folder, restart=restart, show=report)
+            elif robot is not None:
+                result = sweep_scene(
+                    ready_to_sweep(robot, wanted, show, show_note),
+                    wanted,
+                    metrics=names,
+                    record=selection,
+                    processes=processes,
+                    folder=folder,
+                    restart=restart,
+                    dask=dask,
+                    show=report,
+                )
             show("writing the results", None)
             files = write_files(result, folder, plot=not json if plot is None else plot)
     except KeyboardInterrupt:
@@ -364,7 +388,7 @@ def sweep(
     return FAILURE if len(result.messages) == len(result) else 0
 
 
-def _swept_cases(robot: Scene, vary: list[str], sample: str | None, seed: int, path: Path | None) -> Cases:
+def _swept_cases(robot: Scene | None, vary: list[str], sample: str | None, seed: int, path: Path | None) -> Cases:
     """The cases by the options; notes on standard error tell what is left out.
 
     Raises:

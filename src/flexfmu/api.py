@@ -592,7 +592,6 @@ def sweep(
             "metrics": metrics,
             "record_step": record_step,
             "processes": processes,
-            "out": out,
             "dask": dask,
             **parts,
         }
@@ -602,7 +601,20 @@ def sweep(
             raise InputError("a model needs its end and communication step [s]: stop_time=20.0, step=0.1")
         kept = None if record is None else listed(record, "record")
         varied = as_cases(cases, sample, seed)
-        return sweep_model(scene, varied, stop_time=stop_time, step=step, record=kept, tolerance=tolerance, show=show)
+        result = sweep_model(
+            scene,
+            varied,
+            stop_time=stop_time,
+            step=step,
+            record=kept,
+            tolerance=tolerance,
+            folder=None if out is None else Path(out),
+            restart=restart,
+            show=show,
+        )
+        if out is not None:
+            write_files(result, Path(out), plot=False)
+        return result
     if stop_time is not None or step is not None:
         raise InputError("stop_time and step are for models from equations; a scene has its own, under [cosimulation]")
     folder = None if out is None else Path(out)

@@ -610,10 +610,11 @@ def test_margins_are_those_of_python_control() -> None:
 
 
 def test_command_builds_the_model_of_a_file(tmp_path: Path) -> None:
-    """`flexfmu build MODEL.py:NAME`; what isn't a model is named."""
+    """`flexfmu build MODEL.py:NAME` and `flexfmu sweep` of it; what isn't a model is named, with those that are."""
     file = tmp_path / "own.py"
     file.write_text(
-        'import flexfmu\ndecay = flexfmu.ode("decay", x={"x": 1.0}, rhs=lambda x, k=1: -k * x.x)\nnumber = 1\n',
+        'import flexfmu\ndecay = flexfmu.ode("decay", x={"x": 1.0}, p={"k": flexfmu.variable(1.0, minimum=0.0)}, rhs=lambda x, p: -p.k * x.x, '
+        'events={"half": flexfmu.event(lambda x: x.x - 0.5)})\nnumber = 1\n',
         encoding="utf-8",
     )
     target = tmp_path / "decay.fmu"
@@ -621,12 +622,25 @@ def test_command_builds_the_model_of_a_file(tmp_path: Path) -> None:
     assert flexfmu.simulate(target, stop_time=1.0, step=0.1).recording["decay.x"].values[-1] == pytest.approx(
         np.exp(-1)
     )
-    for name, text in (("number", "not a model"), ("other", "has no 'other'")):
-        failed = run_command("build", f"{file}:{name}")
+    for name in (":number", ":other", ""):
+        failed = run_command("build", f"{file}{name}")
         assert failed.exit_code == 2
-        assert text in failed.output
+        assert "is no model; take" in failed.output
+        assert "own.py:decay" in failed.output.replace("\n", "")
     assert run_command("build", f"{file}:decay", "--set", "payload.mass=1").exit_code == 2
-    assert "add the name of its model" in run_command("build", str(file)).output
+    sweep = ["sweep", f"{file}:decay", "--vary", "k=1,2,-1", "--out", tmp_path / "sweep", "--no-plot"]
+    for refused in ([], ["--stop-time", "1"], ["--stop-time", "1", "--step", "0.1", "--metrics", "x"]):
+        assert run_command(*sweep, *refused).exit_code == 2
+    command = [*sweep, "--stop-time", "1", "--step", "0.1", "--record", "x"]
+    assert run_command(*command).exit_code == 0
+    head, first, second, failed = (tmp_path / "sweep" / "sweep.csv").read_text(encoding="utf-8").splitlines()
+    assert head == "case,k [1],x.min [1],x.max [1],x.end [1],message"
+    for line, rate in ((first, 1.0), (second, 2.0)):
+        assert [*map(float, line.split(",")[2:5])] == pytest.approx([np.exp(-rate), 1.0, np.exp(-rate)], rel=1e-6)
+    assert failed.startswith("2,-1,,,,")
+    # a finished sweep has nothing to do, another one is refused
+    assert run_command(*command).exit_code == 0
+    assert run_command(*sweep, "--stop-time", "2", "--step", "0.1").exit_code == 2
     file = tmp_path / "wrong.py"
     file.write_text(
         'import flexfmu\nm = flexfmu.ode("m", x={"x": 1.0}, p={"x": 1.0}, rhs=lambda x: -x.x)\n', encoding="utf-8"

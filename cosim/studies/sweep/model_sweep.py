@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from math import inf
+from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from flexfmu.cosim.engine.master.simulator import simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import Column, Recording, Selection
 from flexfmu.cosim.studies.sweep.cases import Cases
-from flexfmu.cosim.studies.sweep.result import SweepResult
+from flexfmu.cosim.studies.sweep.result import Results, SweepResult
+from flexfmu.cosim.studies.sweep.work import Row
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.model.symbolic import SymbolicModel
@@ -25,14 +27,16 @@ from flexfmu.model.symbolic import SymbolicModel
 def sweep_model(
     model: SymbolicModel,
     cases: Cases,
-    *,
     stop_time: float,
     step: float,
+    *,
     record: Collection[str] | None = None,
     tolerance: float = 1e-6,
+    folder: Path | None = None,
+    restart: bool = False,
     show: Callable[[int, int], None] = lambda done, total: None,
 ) -> SweepResult:
-    """Simulate variants of a model from equations and record them.
+    """Simulate variants of a model from equations, record them, and measure smallest, largest and last value of each output.
 
     Variants go side by side in lanes, with common steps: each result agrees with that of the variant's own run within the tolerance.
     Models with events, dry friction or equations that branch go one by one, as do variants that fail beside others.
@@ -42,12 +46,14 @@ def sweep_model(
         cases: changes of its parameters, ``start.NAME`` among them.
         stop_time: [s].
         step: communication step [s], at which outputs are recorded.
-        record: names of outputs; None for all.
+        record: names of outputs; None for all, of which a folder keeps the measures alone.
         tolerance: relative tolerance.
+        folder, restart: of the results, see `flexfmu.cosim.studies.sweep.result.Results`.
         show: called with the numbers of finished cases and of all.
 
     Raises:
-        InputError: a parameter or output doesn't exist, a value is no number, or times don't fit.
+        InputError: a parameter or output doesn't exist, a value is no number, times don't fit, or the folder has another sweep.
+        ResultsError: the folder can't be read or written.
         BuildError: the FMU can't be built.
     """
     parameters = {each.name: each for each in model.parameters}
@@ -62,7 +68,7 @@ def sweep_model(
         values = np.array(rows, dtype=float).reshape(len(rows), len(keys))
     except (TypeError, ValueError):
         raise InputError(f"the values of {', '.join(keys)} must be numbers") from None
-    fmu, times = build_fmu(model).path, time_grid(0.0, stop_time, step).times
+    built, times = build_fmu(model), time_grid(0.0, stop_time, step).times
     # those in lanes; the others, with what a run of the FMU says
     low = [-inf if p.minimum is None else p.minimum for p in chosen]
     high = [inf if p.maximum is None else p.maximum for p in chosen]
@@ -81,31 +87,42 @@ def sweep_model(
         [0] * inputs.size,
         times.size - 1,
     )
-    try:
-        together = np.flatnonzero(~alone)
-        if together.size:
-            lanes = Lockstep(fmu, {}, course, keys, names, order=0, tolerance=tolerance)
-            found[together], alone[together] = lanes.record(values[together])
-    except ModelError:  # the equations branch
-        alone[:] = True
-    recordings: dict[int, Recording] = {}
-    messages: dict[int, str] = {}
     selection = Selection([f"{model.name}.{each}" for each in names], order=0)
-    for k, row in enumerate(values):
-        if not alone[k]:
-            columns = {n: Column(outputs[n].unit, v) for n, v in zip(names, found[k, :, 0], strict=True)}
-            recordings[k] = Recording(times, columns)
-        else:
+
+    def measured(k: int) -> Row:
+        """A case, run alone unless it is there already."""
+        message = ""
+        if alone[k]:
             try:
-                slave = fmu_slave(fmu, model.name, dict(zip(keys, row.tolist(), strict=True)))
+                slave = fmu_slave(built.path, model.name, dict(zip(keys, values[k].tolist(), strict=True)))
                 run = simulate(connect([slave], []), stop_time, step, tolerance=tolerance, record=selection)
             except InputError as error:
-                messages[k] = str(error)
-                continue
+                return Row(k, (None,) * len(metrics), str(error))
             signals = {name.partition(".")[2]: each for name, each in run.recording.items()}
-            recordings[k] = Recording(run.recording.time, signals)
-            if run.outcome is not Outcome.COMPLETED:
-                messages[k] = run.message
-        show(k + 1, len(values))
-    units = {p.name: p.unit for p in chosen}
-    return SweepResult(model.name, cases, (), np.empty((len(rows), 0)), messages, units, recordings)
+            recording = Recording(run.recording.time, signals)
+            message = "" if run.outcome is Outcome.COMPLETED else run.message
+        else:
+            columns = {n: Column(outputs[n].unit, v) for n, v in zip(names, found[k, :, 0], strict=True)}
+            recording = Recording(times, columns)
+        courses = [] if message else [recording[each].values for each in names]
+        figures = [float(value) for each in courses for value in (each.min(), each.max(), each[-1])]
+        is_kept = folder is None or record is not None
+        return Row(k, tuple(figures) or (None,) * len(metrics), message, recording if is_kept else None)
+
+    metrics = tuple(f"{name}.{which}" for name in names for which in ("min", "max", "end"))
+    units = {p.name: p.unit for p in chosen} | {each: outputs[each.rpartition(".")[0]].unit for each in metrics}
+    about = {"model": built.guid, "cases": cases.described(), "record": names, "times": [stop_time, step, tolerance]}
+    with Results(cases, metrics, units, folder, about, restart=restart) as kept:
+        show(int(kept.finished.sum()), len(rows))
+        together = np.flatnonzero(~alone & ~kept.finished)
+        try:
+            if together.size:
+                lanes = Lockstep(built.path, {}, course, keys, names, order=0, tolerance=tolerance)
+                found[together], alone[together] = lanes.record(values[together])
+        except ModelError:  # the equations branch
+            alone[:] = True
+        for k in np.flatnonzero(~kept.finished).tolist():
+            kept.add([measured(k)])
+            show(int(kept.finished.sum()), len(rows))
+        kept.finish()
+    return SweepResult(model.name, cases, metrics, kept.values, kept.messages, units, kept.recordings, folder)

@@ -73,7 +73,9 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
         if not -len(self) <= number < len(self):
             raise IndexError(f"the sweep has {len(self)} cases, there is no number {number}")
         found = self._row(number % len(self))
-        return found | {name: metric(name, found[name]) for name in self.metrics if found[name] is not None}
+        return found | {
+            name: metric(name, found[name]) for name in self.metrics if found[name] is not None and "." not in name
+        }
 
     def _row(self, number: int) -> dict[str, Any]:
         """The row of a case with plain numbers."""
