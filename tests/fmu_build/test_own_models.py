@@ -692,7 +692,7 @@ BAD: list[tuple[str, Callable[[], object]]] = [
     ("event 'e' of model 'm' is constant", lambda: flexfmu.ode("m", **GOOD, events={"e": flexfmu.event(1.0)})),
     ("got -1 and -1", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda a: a.a, friction={"a": -1.0})),
     ("got 1 and 2", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda a: a.a, friction={"a": (1.0, 2.0)})),
-    ("is no scene: simulate", lambda: flexfmu.margins(flexfmu.ode("m", **GOOD))),  # type: ignore[arg-type]
+    ("no sampled controller feeds m", lambda: flexfmu.margins(flexfmu.ode("m", **GOOD))),
     ("is no scene: simulate", lambda: flexfmu.run(flexfmu.ode("m", **GOOD))),  # type: ignore[arg-type]
     ("is no scene: simulate", lambda: flexfmu.modes(flexfmu.ode("m", **GOOD))),  # type: ignore[arg-type]
     ("a unit is a text", lambda: flexfmu.variable(1.0, None)),  # type: ignore[arg-type]
