@@ -113,6 +113,7 @@ static flex_plant *halfway(const table *inputs) {
     if (flex_plant_advance(plant, k * inputs->step, (k + 1) * inputs->step).outcome != FLEX_DONE) fail("a step failed");
   }
   flex_plant_need_rates(plant, 2);
+  plant->equations.w = plant->shared; // which the second rates need as the first ones left it
   return plant;
 }
 
@@ -141,7 +142,7 @@ __attribute__((visibility("default"))) void fmu_cost(const char *path, double to
   flex_plant *p = halfway(&inputs);
   const double *y = p->integrator.y, *v = p->integrator.v, *a = p->integrator.a, *u = p->u, *u1 = p->u1, *u2 = p->u2, *d = p->d;
   const double *const plain[] = {y, v, a, u, d}, *const position[] = {y, u, d},
-                      *const first[] = {y, v, a, u, u1, d}, *const second[] = {y, v, a, p->jerk, u, u1, u2, d};
+                      *const first[] = {y, v, a, u, u1, d}, *const second[] = {y, v, a, u, u1, d, p->jerk, u2};
   const struct {
     const flex_function *function;
     int count;

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi
@@ -16,7 +16,7 @@ import numpy as np
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.interface import find_states
 from flexfmu.fmu_build.templating import render
-from flexfmu.fmu_build.twins import Entry, function_code, lanes_code
+from flexfmu.fmu_build.twins import Entry, function_code, lanes_code, two_functions
 from flexfmu.model.symbolic import EVENT_SIGNATURES, FUNCTION_SIGNATURES, SymbolicModel, Variable
 
 MAX_INPUT_ORDER = 9
@@ -40,7 +40,7 @@ _CODE_OPTIONS: Any = {"casadi_int": "int", "with_export": False}
 
 @dataclass(frozen=True)
 class GeneratedFunction:
-    """A generated function: field in the model's table, C name, and sizes of CasADi's work arrays."""
+    """A generated function: field in the model's table, C name, sizes of CasADi's work arrays, and whether it shares them with another."""
 
     field: str
     symbol: str
@@ -48,6 +48,7 @@ class GeneratedFunction:
     n_res: int
     n_iw: int
     n_w: int
+    shares_work: bool = False
 
 
 def function_file(name: str) -> str:
@@ -130,18 +131,42 @@ def generate_functions(model: SymbolicModel) -> tuple[dict[str, str], tuple[Gene
         sizes["entries"] = (3 * len(sparse[0].rows), 1)
     prepared = {name: _prepare(name, function, sizes) for name, function in functions.items()}
     _check_mass_matrix(model, prepared)
-    facts = tuple(function_facts(name, function) for name, function in prepared.items())
+    facts = {name: function_facts(name, function) for name, function in prepared.items()}
     # operations of twins side by side where the model has any; CasADi's code for what branches
-    files = {
-        function_file(name): function_code(function, twin_arguments(model, name))
-        or with_all_arguments(c_code(function))
-        for name, function in prepared.items()
-    }
+    codes = dict[str, str]()
+    if (rates := _rates_code(model, prepared)) is not None:
+        *texts, n_w = rates
+        codes = dict(zip(RATES, texts, strict=True))
+        facts |= {name: replace(facts[name], n_w=n_w, shares_work=True) for name in RATES}
+    for name, function in prepared.items():
+        if name not in codes:
+            codes[name] = function_code(function, twin_arguments(model, name)) or with_all_arguments(c_code(function))
+    files = {function_file(name): code for name, code in codes.items()}
     if (lanes := lanes_code(prepared["residual"])) is not None:
         files[LANES_FILE] = render(LANES_FILE + ".j2", function=lanes)
     if sparse is not None:
         files[SPARSE_FILE] = render(SPARSE_FILE + ".j2", pattern=sparse[0])
-    return files | {HEADER_FILE: render(HEADER_FILE + ".j2", functions=facts)}, facts
+    return files | {HEADER_FILE: render(HEADER_FILE + ".j2", functions=facts.values())}, tuple(facts.values())
+
+
+RATES = ("motion_rate1", "motion_rate2")
+"""The functions that share operations, `motion_rate1` also with the mass matrix and the outputs, which it gives behind its results."""
+
+
+def _rates_code(model: SymbolicModel, functions: Mapping[str, casadi.Function]) -> tuple[str, str, int] | None:
+    """C code of both `RATES`, and the size of the work array that hands on what the second one takes from the first."""
+    names = SIGNATURES[RATES[1]][0]
+    symbols = {name: casadi.SX.sym(name, functions[RATES[1]].sparsity_in(i)) for i, name in enumerate(names)}
+    rates, mass, outputs, second = (
+        casadi.vec(functions[each](*(symbols[name] for name in SIGNATURES[each][0])))
+        for each in (RATES[0], "mass_matrix", "outputs", RATES[1])
+    )
+    first = casadi.vertcat(rates, mass, outputs)
+    together = casadi.Function(
+        "rates", list(symbols.values()), [casadi.cse(casadi.densify(casadi.vertcat(first, second)))]
+    )
+    symbol_names = (functions[RATES[0]].name(), functions[RATES[1]].name())
+    return two_functions(together, first.numel(), symbol_names, twin_arguments(model, RATES[1]))
 
 
 def twin_arguments(model: SymbolicModel, name: str) -> list[tuple[Entry, Entry]]:
@@ -180,6 +205,7 @@ def generate_description(
         max_input_order=MAX_INPUT_ORDER,
         has_lanes=has_lanes,
         sparse=any(each.field == "jacobian" for each in functions),
+        rates_share=any(each.shares_work for each in functions),
     )
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,19 +67,30 @@ class Graph:
         """The nodes that a node works on."""
         return () if self.is_leaf(node) else self.nodes[node][1:]
 
+    def needed(self, results: Iterable[int]) -> set[int]:
+        """The nodes that results need, themselves included."""
+        needed = set(results)
+        for node in reversed(range(len(self.nodes))):
+            if node in needed:
+                needed.update(self.operands(node))
+        return needed
+
     def is_leaf(self, node: int) -> bool:
         """Whether a node is a constant or an argument."""
         return self.nodes[node][0] in LEAVES
 
 
-def find_twins(graph: Graph, seeds: Iterable[tuple[Entry, Entry]]) -> dict[int, tuple[int, int]]:
+def find_twins(
+    graph: Graph, seeds: Iterable[tuple[Entry, Entry]], apart: Set[int] = frozenset()
+) -> dict[int, tuple[int, int]]:
     """Twins among the nodes of a graph: node → (node of the first part, node of the second), for both.
 
     Args:
         graph: the graph.
         seeds: twins among the arguments.
+        apart: operations that only become twins of each other.
     """
-    pairing = _Pairing(graph)
+    pairing = _Pairing(graph, apart)
     numbers = {node: k for k, node in enumerate(graph.nodes)}
     for first, second in seeds:
         nodes = numbers.get(("INPUT", *first)), numbers.get(("INPUT", *second))
@@ -102,9 +113,9 @@ class _Pairing:
     Only nodes of the same level, the longest way from the arguments, become twins, so that none needs the other.
     """
 
-    def __init__(self, graph: Graph) -> None:
+    def __init__(self, graph: Graph, apart: Set[int]) -> None:
         self.twins: dict[int, tuple[int, int]] = {}
-        self._graph = graph
+        self._graph, self._apart = graph, apart
         self._levels: list[int] = []
         for k, node in enumerate(graph.nodes):
             # a change of sign, which only one of two parts may have, counts for nothing
@@ -150,7 +161,7 @@ class _Pairing:
     def _key(self, node: int, tag: _Tag, is_mirrored: bool) -> tuple[Any, ...]:
         name, *operands = self._graph.nodes[node]
         tags = [tag(i, is_mirrored) for i in operands]
-        return name, self._levels[node], tuple(sorted(tags) if name in COMMUTATIVE else tags)
+        return name, self._levels[node], tuple(sorted(tags) if name in COMMUTATIVE else tags), node in self._apart
 
 
 OPERATIONS = {
@@ -192,6 +203,35 @@ def function_code(function: casadi.Function, seeds: Iterable[tuple[Entry, Entry]
     return _Writer(graph, find_twins(graph, seeds)).code(function.name())
 
 
+def two_functions(
+    function: casadi.Function, n_first: int, names: tuple[str, str], seeds: Iterable[tuple[Entry, Entry]]
+) -> tuple[str, str, int] | None:
+    """C code of two functions of the same arguments that share operations, and the size of their work array w.
+
+    The second one relies on what the first one has left in w. None if an operation has no code here.
+
+    Args:
+        function: both results in one, expanded to scalar operations.
+        n_first: how many of its results are those of the first function.
+        names: C names.
+        seeds: twins among the arguments.
+    """
+    graph = Graph.of(function)
+    if not _is_served(graph, OPERATIONS.keys() | FUNCTIONS.keys()):
+        return None
+    # the first function must not need what only the second one's arguments give: no twins across both
+    writer = _Writer(graph, find_twins(graph, seeds, graph.needed(graph.results[:n_first])))
+    first, second = (_parts(writer.statements(*each)) for each in ((0, n_first), (n_first, len(graph.results))))
+    codes, sizes = _handing_on([*first, *second])
+    pairs = 2 * sizes["flex_twin"]
+    arrays = {"flex_twin": "flex_twin *pairs=(flex_twin *)w;", "real": f"real *numbers=w+{pairs};"}
+    texts = [
+        f"{_HEAD}\n{_calling('int', name, PARAMETERS, each, arrays, ('return 0;',))}"
+        for name, each in zip(names, (codes[: len(first)], codes[len(first) :]), strict=True)
+    ]
+    return texts[0], texts[1], pairs + sizes["real"]
+
+
 def lanes_code(function: casadi.Function) -> str | None:
     """C code of the residual (y, v, a, u, d) → r at several points in parallel (SIMD lanes).
 
@@ -219,6 +259,8 @@ def lanes_code(function: casadi.Function) -> str | None:
     return _c_function("FLEX_WIDE void", f"{function.name()}_lanes", LANES_PARAMETERS, lines)
 
 
+_HEAD = '#include <math.h>\n#include "elementary.h"\n#include "model_functions.h"\n#include "twins.h"\n'
+
 PARAMETERS = "const real **arg, real **res, int *iw, real *w, int mem"
 """Parameters of generated functions, which are CasADi's."""
 
@@ -234,15 +276,19 @@ _STORES = {"real": "numbers", "flex_twin": "pairs", "flex_lanes": "lanes"}
 _DEFINED, _NAME = re.compile(r"(\w+) ([st]\d+(?:_\d+)?)="), re.compile(r"\b[st]\d+(?:_\d+)?\b")
 
 
-def _c_function(kind: str, name: str, parameters: str, statements: Sequence[str], ending: Sequence[str] = ()) -> str:
-    """C code of a function of straight code; what its parts hand on lies in arrays, whose places are used again."""
+def _text(head: str, lines: Iterable[str]) -> str:
+    return "\n  ".join([f"{head} {{", *lines]) + "\n}\n"
 
-    def text(head: str, lines: Iterable[str]) -> str:
-        return "\n  ".join([f"{head} {{", *lines]) + "\n}\n"
 
-    if len(statements) <= LONG:
-        return text(f"{kind} {name}({parameters})", (*statements, *ending))
-    parts = [statements[k : k + PART] for k in range(0, len(statements), PART)]
+def _parts(statements: Sequence[str]) -> list[Sequence[str]]:
+    """The statements of a function, those of a long one cut into parts."""
+    length = PART if len(statements) > LONG else max(len(statements), 1)
+    return [statements[k : k + length] for k in range(0, len(statements), length)]
+
+
+def _handing_on(parts: Sequence[Sequence[str]]) -> tuple[list[list[str]], Counter[str]]:
+    """Parts that keep what later ones need in arrays, whose places are used again, and fetch it before its first use; with the sizes of
+    the arrays."""
     # type and part of each value, and the last part that needs it
     types, first, last = dict[str, str](), dict[str, int](), dict[str, int]()
     for k, part in enumerate(parts):
@@ -250,7 +296,6 @@ def _c_function(kind: str, name: str, parameters: str, statements: Sequence[str]
             if defined := _DEFINED.match(line):
                 types[defined[2]], first[defined[2]] = defined[1], k
             last |= dict.fromkeys(_NAME.findall(line), k)
-    # parts that keep what later ones need, and fetch it before its first use
     places, sizes = dict[str, str](), Counter[str]()
     free: dict[str, list[str]] = {each: [] for each in _STORES}
     codes = []
@@ -273,16 +318,35 @@ def _c_function(kind: str, name: str, parameters: str, statements: Sequence[str]
             if last[value] == k:
                 free[types[value]].append(places[value])
         codes.append(code)
-    # the parts, and the function that calls one after the other
-    shared = ", ".join((parameters, *(f"{each} *restrict {_STORES[each]}" for each in sizes)))
+    return codes, sizes
+
+
+def _calling(
+    kind: str,
+    name: str,
+    parameters: str,
+    codes: Sequence[Sequence[str]],
+    arrays: Mapping[str, str],
+    ending: Sequence[str],
+) -> str:
+    """The parts, and the function that calls one after the other with arrays, type → declaration."""
+    shared = ", ".join((parameters, *(f"{each} *restrict {_STORES[each]}" for each in arrays)))
     arguments = ", ".join(each.split()[-1].lstrip("*") for each in shared.split(","))
     helpers = [
-        text(f"static FLEX_APART {kind.replace('int', 'void')} {name}_{k}({shared})", code)
+        _text(f"static FLEX_APART {kind.replace('int', 'void')} {name}_{k}({shared})", code)
         for k, code in enumerate(codes)
     ]
-    arrays = [f"{each} {_STORES[each]}[{size}];" for each, size in sizes.items()]
-    calls = [f"{name}_{k}({arguments});" for k in range(len(parts))]
-    return "\n".join((*helpers, text(f"{kind} {name}({parameters})", (*arrays, *calls, *ending))))
+    calls = [f"{name}_{k}({arguments});" for k in range(len(codes))]
+    return "\n".join((*helpers, _text(f"{kind} {name}({parameters})", (*arrays.values(), *calls, *ending))))
+
+
+def _c_function(kind: str, name: str, parameters: str, statements: Sequence[str], ending: Sequence[str] = ()) -> str:
+    """C code of a function of straight code; what its parts hand on lies in arrays."""
+    if len(statements) <= LONG:
+        return _text(f"{kind} {name}({parameters})", (*statements, *ending))
+    codes, sizes = _handing_on(_parts(statements))
+    arrays = {each: f"{each} {_STORES[each]}[{size}];" for each, size in sizes.items()}
+    return _calling(kind, name, parameters, codes, arrays, ending)
 
 
 def _is_served(graph: Graph, operations: Set[str]) -> bool:
@@ -296,13 +360,18 @@ class _Writer:
     def __init__(self, graph: Graph, twins: dict[int, tuple[int, int]]) -> None:
         self._graph, self._twins = graph, twins
         self._lines: list[str] = []
+        self._done: set[Unit] = set()
         self._packed: dict[tuple[int, int], str] = {}  # names of registers by the nodes that they hold
         self._taken: set[int] = set()  # parts of twins that have a name of their own
 
     def code(self, name: str) -> str:
         """The C code."""
-        results, zero = self._graph.results, ("CONST", 0.0)
-        done: set[Unit] = set()
+        statements = self.statements(0, len(self._graph.results))
+        return f"{_HEAD}\n{_c_function('int', name, PARAMETERS, statements, ('return 0;',))}"
+
+    def statements(self, start: int, stop: int) -> Sequence[str]:
+        """The statements that give these results, without those that have been written before."""
+        results, zero, begin = self._graph.results[start:stop], ("CONST", 0.0), len(self._lines)
         zeros = [k for k, node in enumerate(results) if self._graph.nodes[node] == zero]
         if len(zeros) > LONG:
             self._lines.append(f"for (int i = 0; i < {len(results)}; i++) res[0][i]=flex_real(0.0);")
@@ -310,24 +379,23 @@ class _Writer:
         for k, node in enumerate(results):
             if k in written:
                 continue
-            for unit in self._needed(self._unit(node), done):
+            for unit in self._needed(self._unit(node)):
                 self._write(unit)
             self._lines.append(f"res[0][{k}]={self._number(node)};")
-        head = '#include <math.h>\n#include "elementary.h"\n#include "model_functions.h"\n#include "twins.h"\n'
-        return f"{head}\n{_c_function('int', name, PARAMETERS, self._lines, ('return 0;',))}"
+        return self._lines[begin:]
 
     def _unit(self, node: int) -> Unit:
         return self._twins.get(node, (node,))
 
-    def _needed(self, unit: Unit, done: set[Unit]) -> Iterator[Unit]:
+    def _needed(self, unit: Unit) -> Iterator[Unit]:
         """The units that are still missing for a unit, and itself, in an order in which they can be computed."""
         stack = [(unit, False)]
         while stack:
             each, is_ready = stack.pop()
             if is_ready:
                 yield each
-            elif each not in done:
-                done.add(each)
+            elif each not in self._done:
+                self._done.add(each)
                 stack.append((each, True))
                 stack += (
                     (self._unit(i), False) for node in reversed(each) for i in reversed(self._graph.operands(node))

@@ -44,7 +44,7 @@ FUNCTION_SIGNATURES: Mapping[str, tuple[tuple[str, ...], str]] = {
     "outputs": (("y", "v", "a", "u", "d"), "o"),
     "motion_forward": (("y", "v", "a", "u", "d", "dy", "dv", "du", "dd"), "changes"),
     "motion_rate1": (("y", "v", "a", "u", "u1", "d"), "changes"),
-    "motion_rate2": (("y", "v", "a", "j", "u", "u1", "u2", "d"), "rates2"),
+    "motion_rate2": (("y", "v", "a", "u", "u1", "d", "j", "u2"), "rates2"),
     "singularity": (("y", "u", "d"), "margin"),
     "error_scale": (("d",), "scale"),
 }

@@ -181,7 +181,7 @@ def motion_rate2(
     """The second total time derivatives of residual and outputs without the terms of the snap s = d2a/dt2.
 
     Returns:
-        arguments [y, v, a, j, u, u1, u2, d], with the jerk j = a', u1 = u' and u2 = u'', and the vector [d2r/dt2,
+        arguments [y, v, a, u, u1, d, j, u2], with u1 = u', the jerk j = a' and u2 = u'', and the vector [d2r/dt2,
         d2o/dt2]; the terms of the snap are M s and do/da s.
     """
     # Taylor coefficients along the motion, with v = y', a = v', j = a' and the derivatives of the inputs
@@ -189,4 +189,4 @@ def motion_rate2(
     j, u1, u2 = casadi.SX.sym("j", y.numel()), casadi.SX.sym("u1", u.numel()), casadi.SX.sym("u2", u.numel())
     rates = [(y, [v, 0.5 * a]), (v, [a, 0.5 * j]), (a, [j]), (u, [u1, 0.5 * u2]), (derived, [])]
     _, second = taylor_coefficients(rates, casadi.vertcat(residual, outputs))
-    return [y, v, a, j, u, u1, u2, derived], 2 * second
+    return [y, v, a, u, u1, derived, j, u2], 2 * second

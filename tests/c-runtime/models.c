@@ -20,13 +20,13 @@
     return forward(seeds, res, iw, w, mem);                                                         \
   }
 
-/* also the `size` second rates of a linear model, with a, j and d2u/dt2 as seeds; arg: y, v, a, j, u, u1, u2, d */
+/* also the `size` second rates of a linear model, with a, j and d2u/dt2 as seeds; arg: y, v, a, u, u1, d, j, u2 */
 #define LINEAR_RATES(model, size)                                                                   \
   RATE1(model##_rate1, model##_forward)                                                             \
   EQUATION(model##_rate2) {                                                                         \
     static const double none[16];                                                                   \
     double changes[16], *result[] = {changes};                                                      \
-    const double *seeds[] = {arg[0], arg[1], arg[2], arg[4], arg[7], arg[2], arg[3], arg[6], none}; \
+    const double *seeds[] = {arg[0], arg[1], arg[2], arg[3], arg[5], arg[2], arg[6], arg[7], none}; \
     int refused = model##_forward(seeds, result, iw, w, mem);                                       \
     memcpy(res[0], changes, size * sizeof *changes);                                                \
     return refused;                                                                                 \
@@ -167,8 +167,8 @@ RATE1(pendulum_rate1, pendulum_forward)
 
 EQUATION(pendulum_rate2) {
   double y = arg[0][0], v = arg[1][0], a = arg[2][0];
-  res[0][0] = -sin(y) * v * v + cos(y) * a - arg[6][0];
-  res[0][1] = a * (a + sin(y)) + v * (arg[3][0] + cos(y) * v);
+  res[0][0] = -sin(y) * v * v + cos(y) * a - arg[7][0];
+  res[0][1] = a * (a + sin(y)) + v * (arg[6][0] + cos(y) * v);
   return 0;
 }
 
@@ -223,7 +223,7 @@ FORMULA(rigid_forward, 2.0 * arg[3][0] * arg[7][0])
 
 RATE1(rigid_rate1, rigid_forward)
 
-FORMULA(rigid_rate2, 2.0 * (arg[5][0] * arg[5][0] + arg[4][0] * arg[6][0]))
+FORMULA(rigid_rate2, 2.0 * (arg[4][0] * arg[4][0] + arg[3][0] * arg[7][0]))
 
 static const flex_variable angle_input[] = {FREE("angle", "rad")};
 static const flex_variable square_output[] = {FREE("square", "rad2")};

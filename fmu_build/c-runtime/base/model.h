@@ -129,7 +129,9 @@ typedef struct {
   flex_function motion_rate1; /* (y, v, a, u, u1, d) -> [dr/dt (n), do/dt (n_outputs), entries of do/da] */
 
   /* second time derivatives along the motion without what the snap s = d2a/dt2 adds: M s and do/da s; u2 = d2u/dt2 */
-  flex_function motion_rate2; /* (y, v, a, j, u, u1, u2, d) -> [d2r/dt2 (n), d2o/dt2 (n_outputs)] */
+  flex_function motion_rate2; /* (y, v, a, u, u1, d, j, u2) -> [d2r/dt2 (n), d2o/dt2 (n_outputs)] */
+
+  int rates_share; /* 1 = motion_rate1 gives M and o too, behind its results, and motion_rate2 relies on what it left in w */
 
   /* events: numbers, and their time derivatives along the motion with the inputs held; the states behind those events k whose
    * fired[k] is 1. Only where there are events */

@@ -67,7 +67,7 @@ static void hold_residual(flex_equations *equations, const real *a, real *r) {
   }
 }
 
-static void hold_mass(const flex_equations *equations, real *mass) {
+void flex_hold_mass(const flex_equations *equations, real *mass) {
   int n = equations->model->n;
   for (int k = 0; k < equations->model->n_frictions; k++) {
     int i = equations->model->frictions[k].unknown;
@@ -107,7 +107,7 @@ void flex_residual_lanes(flex_equations *equations, int count, const real *y, co
 int flex_mass_matrix(flex_equations *equations, const real *y, const real *u, real *mass) {
   const real *const arguments[] = {y, u, equations->d};
   int refused = flex_call(equations, &equations->model->mass_matrix, 3, arguments, mass);
-  if (equations->model->n_frictions > 0) hold_mass(equations, mass);
+  flex_hold_mass(equations, mass);
   return refused;
 }
 

@@ -50,8 +50,9 @@ int flex_lanes_serve(const flex_equations *equations);
 void flex_residual_lanes(flex_equations *equations, int count, const real *y, const real *v, const real *a,
                          const real *u, real *r);
 
-/* M(y, u), n x n by columns, rows and columns of the unit matrix where friction holds */
+/* M(y, u), n x n by columns, rows and columns of the unit matrix where friction holds: these are put into one that has none yet */
 int flex_mass_matrix(flex_equations *equations, const real *y, const real *u, real *mass);
+void flex_hold_mass(const flex_equations *equations, real *mass);
 
 /* singularity margin, the least of all lanes */
 int flex_margin(flex_equations *equations, const real *y, const real *u, double *margin);

@@ -35,8 +35,6 @@ static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) 
   plant->u = flex_take_reals(arena, m);
   plant->previous_u = flex_take_reals(arena, m);
   plant->outputs = flex_take_reals(arena, outputs);
-  plant->jerk = flex_take_reals(arena, flex_changes_count(model));
-  plant->snap = flex_take_reals(arena, n + outputs);
   plant->modes = flex_take_ints(arena, (size_t)flex_switches(model));
   plant->forgiven = flex_take_doubles(arena, (size_t)model->n_events);
   flex_inputs_take(&plant->inputs, model->n_inputs, model->max_input_order, arena);
@@ -44,6 +42,10 @@ static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) 
   plant->state_size = arena->used - begin;
 
   // scratch
+  int n_shared = model->motion_rate1.n_w > model->motion_rate2.n_w ? model->motion_rate1.n_w : model->motion_rate2.n_w;
+  plant->jerk = flex_take_reals(arena, flex_changes_count(model) + n * n + outputs);
+  plant->snap = flex_take_reals(arena, n + outputs);
+  plant->shared = flex_take_reals(arena, (size_t)n_shared);
   flex_integrator_take_scratch(&plant->integrator, model->n, model->n_inputs, arena);
   flex_equations_take(&plant->equations, model, arena);
   flex_statics_take(&plant->statics, model->n, arena);
@@ -121,6 +123,7 @@ void flex_plant_set_start_time(flex_plant *plant, double time) {
 }
 
 void flex_plant_restored(flex_plant *plant) {
+  plant->record->have &= ~(FLEX_HAVE_FIRST_RATES | FLEX_HAVE_SECOND_RATES);
   choose_method(plant);
 }
 
@@ -396,6 +399,8 @@ flex_failure flex_plant_need_outputs(flex_plant *plant) {
   const flex_integrator *integrator = &plant->integrator;
   if (flex_plant_has(plant, FLEX_HAVE_OUTPUTS)) return outcome_now(plant, FLEX_DONE, 0.0);
   flex_failure failure = flex_plant_need_acceleration(plant);
+  if (plant->model->rates_share && plant->rates_come_along && failure.outcome == FLEX_DONE) flex_plant_need_rates(plant, 1);
+  plant->rates_come_along = 0;
   if (failure.outcome != FLEX_DONE || (plant->record->have & FLEX_HAVE_OUTPUTS)) return failure;
   const real *const arguments[] = {integrator->y, integrator->v, integrator->a, plant->u, plant->d};
   if (flex_call(&plant->equations, &plant->model->outputs, 5, arguments, plant->outputs) ||
@@ -406,39 +411,59 @@ flex_failure flex_plant_need_outputs(flex_plant *plant) {
 }
 
 // M x = -(rate of the residual without x), x being jerk or snap, which then adds its part to the rates of the outputs
-static void solve_rate(const flex_plant *plant, real *x, real *rates) {
-  flex_cholesky_solve(plant->model->n, plant->integrator.mass_factor, x);
-  for (int i = 0; i < plant->model->n; i++) x[i] = -x[i];
-  flex_add_acceleration(plant->model, plant->acceleration_entries, x, rates);
+static int solve_rate(flex_plant *plant, real *x, real *rates) {
+  const flex_model *model = plant->model;
+  flex_hold(&plant->equations, x);
+  flex_cholesky_solve(model->n, plant->integrator.mass_factor, x);
+  for (int i = 0; i < model->n; i++) x[i] = -x[i];
+  flex_add_acceleration(model, plant->acceleration_entries, x, rates);
+  return !flex_all_finite(x, model->n + model->n_outputs);
 }
 
-static int first_rates(flex_plant *plant) {
+static int call_rates(flex_plant *plant, const flex_function *function, real *result) {
   const flex_integrator *g = &plant->integrator;
-  const real *const arguments[] = {g->y, g->v, g->a, plant->u, plant->u1, plant->d};
-  int refused = flex_call(&plant->equations, &plant->model->motion_rate1, 6, arguments, plant->jerk);
-  flex_hold(&plant->equations, plant->jerk);
-  solve_rate(plant, plant->jerk, plant->first_rates);
-  return refused || !flex_all_finite(plant->jerk, plant->model->n + plant->model->n_outputs);
+  const real *const arguments[] = {g->y, g->v, g->a, plant->u, plant->u1, plant->d, plant->jerk, plant->u2};
+  real *w = plant->equations.w;
+  plant->equations.w = plant->shared;
+  int refused = flex_call(&plant->equations, function, 8, arguments, result);
+  plant->equations.w = w;
+  return refused;
+}
+
+// mass matrix and outputs, which first rates may bring along
+static void take_along(flex_plant *plant) {
+  const flex_model *model = plant->model;
+  flex_integrator *g = &plant->integrator;
+  size_t n = (size_t)model->n, outputs = (size_t)model->n_outputs;
+  const real *mass = plant->acceleration_entries + model->n_acceleration_terms;
+  memcpy(plant->outputs, mass + n * n, outputs * sizeof(real));
+  if (flex_all_finite(plant->outputs, model->n_outputs)) plant->record->have |= FLEX_HAVE_OUTPUTS;
+  if (n == 0 || g->record->is_factored) return;
+  memcpy(g->mass_factor, mass, n * n * sizeof(real));
+  flex_hold_mass(&plant->equations, g->mass_factor);
+  g->record->is_factored = flex_cholesky_factor(model->n, g->mass_factor) == 0;
+}
+
+static flex_outcome first_rates(flex_plant *plant) {
+  int refused = call_rates(plant, &plant->model->motion_rate1, plant->jerk);
+  if (plant->model->rates_share && !refused) take_along(plant);
+  flex_outcome outcome = flex_integrator_factor(&plant->integrator, plant->u);
+  if (outcome != FLEX_DONE) return outcome;
+  return solve_rate(plant, plant->jerk, plant->first_rates) || refused ? FLEX_NOT_FINITE : FLEX_DONE;
 }
 
 static int second_rates(flex_plant *plant) {
-  const flex_model *model = plant->model;
-  const flex_integrator *g = &plant->integrator;
-  const real *const arguments[] = {g->y, g->v, g->a, plant->jerk, plant->u, plant->u1, plant->u2, plant->d};
-  int refused = flex_call(&plant->equations, &model->motion_rate2, 8, arguments, plant->snap);
-  flex_hold(&plant->equations, plant->snap);
-  solve_rate(plant, plant->snap, plant->second_rates);
-  return refused || !flex_all_finite(plant->snap, model->n + model->n_outputs);
+  int refused = call_rates(plant, &plant->model->motion_rate2, plant->snap);
+  return solve_rate(plant, plant->snap, plant->second_rates) || refused;
 }
 
 flex_failure flex_plant_need_rates(flex_plant *plant, int order) {
   flex_plant_record *record = plant->record;
+  plant->rates_come_along = 1;
   if (flex_plant_has(plant, FLEX_HAVE_FIRST_RATES | (order > 1 ? FLEX_HAVE_SECOND_RATES : 0)))
     return outcome_now(plant, FLEX_DONE, 0.0);
   flex_failure failure = flex_plant_need_acceleration(plant);
   if (failure.outcome != FLEX_DONE) return failure;
-  flex_outcome outcome = flex_integrator_factor(&plant->integrator, plant->u);
-  if (outcome != FLEX_DONE) return outcome_now(plant, outcome, 0.0);
   flex_inputs_rates(&plant->inputs, record->time, plant->u1, plant->u2);
   for (int i = 0; i < plant->inputs.count; i++) {
     real pace = plant->integrator.stages.pace;
@@ -448,7 +473,8 @@ flex_failure flex_plant_need_rates(flex_plant *plant, int order) {
 
   // jerk and rates of the outputs, then snap and their second rates
   if (!(record->have & FLEX_HAVE_FIRST_RATES)) {
-    if (first_rates(plant)) return outcome_now(plant, FLEX_NOT_FINITE, 0.0);
+    flex_outcome outcome = first_rates(plant);
+    if (outcome != FLEX_DONE) return outcome_now(plant, outcome, 0.0);
     record->have |= FLEX_HAVE_FIRST_RATES;
   }
   if (order > 1 && !(record->have & FLEX_HAVE_SECOND_RATES)) {

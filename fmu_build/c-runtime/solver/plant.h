@@ -40,15 +40,16 @@ typedef struct {
   flex_plant_record *record;
   size_t state_size; /* bytes of the numeric state, which begins with the record */
 
-  /* numeric state; u, previous_u: inputs now and when the last communication step began; rates: o1, o2; jerk da/dt, snap
-   * d2a/dt2; entries of do/da */
-  real *p, *d, *scale, *u, *previous_u, *outputs, *jerk, *first_rates, *acceleration_entries, *snap, *second_rates;
+  /* numeric state; u, previous_u: inputs now and when the last communication step began */
+  real *p, *d, *scale, *u, *previous_u, *outputs;
   int *modes; /* of frictions and events */
   double *forgiven; /* of the events */
   flex_inputs inputs;
   flex_integrator integrator;
 
-  /* scratch */
+  /* scratch; jerk da/dt, snap d2a/dt2, rates o1, o2 of the outputs, entries of do/da; what the first rates hand on to the second */
+  real *jerk, *first_rates, *acceleration_entries, *snap, *second_rates, *shared;
+  int rates_come_along; /* 1 = whoever asked for outputs has asked for their rates, too */
   flex_equations equations;
   flex_statics statics;
   real *u1, *u2, *zero;
