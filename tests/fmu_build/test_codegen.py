@@ -34,7 +34,7 @@ FUNCTIONS = ("residual", "outputs", "motion_rate1", "motion_rate2")
 
 def _library(files: Mapping[str, str], folder: Path, *flags: str) -> ctypes.CDLL:
     """C files with the elementary functions, as a library that exports all of them."""
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     files = {**runtime_sources("elementary"), **files}
     for name, text in files.items():
         (folder / name).write_text(text)
@@ -72,11 +72,68 @@ def test_compiled_functions_agree_with_casadi(make_oscillators: MakeModel, tmp_p
     files, facts = codegen.generate_functions(model)
     library = _library(files | {name: runtime_sources()[name] for name in ("real.h", "memory.h")}, tmp_path)
     for fact in facts:
+        if fact.shares_work:
+            continue
         function = model.functions[fact.field]
         points = _points(function, 2)
         expected = [np.asarray(function(*arguments)).ravel(order="F") for arguments in points]
         found = _results(library, fact.symbol, function, points)
         np.testing.assert_allclose(found, expected, rtol=1e-14, err_msg=fact.field)
+
+
+def _rates(
+    library: ctypes.CDLL, model: SymbolicModel, points: list[list[np.ndarray]], shared: bool
+) -> list[np.ndarray]:
+    """First rates, mass matrix, outputs and second rates at some points: from the functions that share operations, of which the first
+    one gets no numbers for jerk and second derivatives of inputs, or from four."""
+    names, found = (codegen.RATES[0], "mass_matrix", "outputs", codegen.RATES[1]), []
+    sizes = [model.functions[name].numel_out(0) for name in names]
+    for point in points:
+        given = dict(zip(FUNCTION_SIGNATURES[names[3]][0], point, strict=True))
+        result, begin, work = np.full(sum(sizes), np.nan), 0, (ctypes.c_double * ROOM)()
+        for name, size in zip(names, sizes, strict=True):
+            if name in codegen.RATES or not shared:
+                arguments = [given[each] for each in FUNCTION_SIGNATURES[name][0]]
+                if name == names[0]:
+                    arguments += [np.full(given[each].size, np.nan) for each in ("j", "u2")]
+                pointers = (ctypes.c_void_p * ROOM)(*(each.ctypes.data for each in arguments))
+                target = (ctypes.c_void_p * ROOM)(result[begin:].ctypes.data)
+                assert getattr(library, f"model_{name}")(pointers, target, (ctypes.c_int * ROOM)(), work, 0) == 0
+            begin += size
+        found.append(result)
+    return found
+
+
+def _check_rates(model: SymbolicModel, folder: Path, *flags: str) -> None:
+    """What shares operations has the bits of four functions apart."""
+    prepared = {name: _function(model, name) for name in ("motion_rate1", "mass_matrix", "outputs", "motion_rate2")}
+    apart = {
+        codegen.function_file(name): codegen.with_all_arguments(codegen.c_code(each)) for name, each in prepared.items()
+    }
+    together = {name: text for name, text in codegen.generate_functions(model)[0].items() if name in apart}
+    points = _points(prepared["motion_rate2"], 10)
+    results = [
+        _rates(_library(files | {codegen.HEADER_FILE: REAL}, folder / name, *flags), model, points, name == "together")
+        for name, files in (("apart", apart), ("together", together))
+    ]
+    np.testing.assert_array_equal(results[1], results[0])
+
+
+def test_rates_share_operations(make_oscillators: MakeModel, make_lever: MakeModel, tmp_path: Path) -> None:
+    """First rates bring mass matrix and outputs along and need neither jerk nor second derivatives of inputs; second rates go on from
+    what the first ones left."""
+    for model in (make_oscillators(), make_lever()):
+        _check_rates(model, tmp_path / model.name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("length", "flags"), [(1500, ()), (10, ()), (1500, ("-DFLEX_PLAIN",))])
+def test_rates_of_the_robot_share_operations(
+    length: int, flags: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same where two legs go side by side, in a few parts or in many."""
+    monkeypatch.setattr(twins, "LONG", length)
+    _check_rates(_model({}), tmp_path, *flags)
 
 
 def test_code_is_deterministic_and_complete(make_oscillators: MakeModel, make_lever: MakeModel) -> None:
@@ -191,7 +248,7 @@ def _function(model: SymbolicModel, name: str) -> casadi.Function:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("name", ("residual", "outputs"))
 def test_twins_give_the_bits_of_casadi(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Side by side or not, with vector types or without, whole or in parts: a compiler must not decide about an FMU's numbers."""
     model = _model({})
