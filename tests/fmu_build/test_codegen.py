@@ -248,7 +248,7 @@ def _function(model: SymbolicModel, name: str) -> casadi.Function:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ("residual", "outputs"))
+@pytest.mark.parametrize("name", ["residual", "outputs"])
 def test_twins_give_the_bits_of_casadi(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Side by side or not, with vector types or without, whole or in parts: a compiler must not decide about an FMU's numbers."""
     model = _model({})
