@@ -94,10 +94,12 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def shared_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The cache of all tests, processes that they start included: no test writes into the user's own, and no FMU is built twice."""
+    """The cache of all tests, processes that they start included: no test writes into the user's own, and no FMU is built twice, also by
+    several runs of pytest that share FLEXFMU_TEST_CACHE."""
     folder = tmp_path_factory.getbasetemp()
     # pytest-xdist gives each of its processes a folder of its own within that of the session
     folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "cache"
+    folder = Path(os.environ.get("FLEXFMU_TEST_CACHE", folder))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FLEXFMU_CACHE", str(folder))
         yield folder
