@@ -15,11 +15,11 @@ from flexfmu.fmu_build.cache import cache_folder, content_hash, package_fingerpr
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import ArchiveError, BuildError, PlatformError
 from flexfmu.fmu_build.experiment import DefaultExperiment
+from flexfmu.fmu_build.naming import Naming
 from flexfmu.fmu_build.toolchain import FmiVersion, Platform, find_compiler, find_platforms, native_platform
 from flexfmu.model.symbolic import SymbolicBlock
 
 if TYPE_CHECKING:  # a cached build avoids the import of CasADi (a quarter of a second)
-    from flexfmu.fmu_build.naming import Naming
     from flexfmu.fmu_build.sources import Sources
     from flexfmu.fmu_build.trajectory_build import Motion
     from flexfmu.model.symbolic import SymbolicModel
@@ -96,6 +96,8 @@ def build_fmu(
     started = perf_counter()
     if str(fmi) not in get_args(FmiVersion):
         raise BuildError(f"fmi is the version of the standard, '2' for FMI 2.0 or '3' for FMI 3.0, got {fmi!r:.60}")
+    if naming not in get_args(Naming):
+        raise BuildError(f"naming is structured or flat, got {naming!r:.60}")
     standard = cast(FmiVersion, str(fmi))
     targets = find_platforms(platforms)
     # the default experiment lasts as long as the motion, or a thousand samples

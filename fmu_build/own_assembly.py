@@ -35,6 +35,12 @@ def assembled(draft: Draft, residual: Sequence[casadi.SX], rhs: Sequence[casadi.
     for k, (each, (_, slip)) in enumerate(draft.friction.items()):
         found = Friction(list(draft.given["q"]).index(each), first + k, first + len(draft.friction) + k)
         (force,) = draft.evaluated(f"friction of '{each}'", slip, [each], scopes="qvp")
+        both = draft.at_start(casadi.vertcat(draft.d[found.breakaway], force), casadi.SX(0, 1))([]).full().ravel()
+        if not 0.0 <= both[1] <= both[0]:
+            raise ModelError(
+                f"friction of '{each}' of model '{draft.name}' must be zero or positive, and while it slips at most that of breakaway, "
+                f"got {both[0]:g} and {both[1]:g} at the start"
+            )
         equations[found.unknown] += draft.d[found.direction] * force
         frictions.append(found)
     rates = [*rhs, *[casadi.SX(0)] * draft.n_held]
@@ -94,10 +100,8 @@ def assembled(draft: Draft, residual: Sequence[casadi.SX], rhs: Sequence[casadi.
         minimum_margin=0.0,
         frictions=tuple(frictions),
         events=tuple(
-            Event(
-                draft.d.numel() - len(draft.events) + k, each.direction, each.reset is not None, instant, each.at_start
-            )
-            for k, (each, instant) in enumerate(zip(draft.events.values(), instants, strict=True))
+            Event(first + 2 * len(draft.friction) + k, e.direction, e.reset is not None, instant, e.at_start, each)
+            for k, ((each, e), instant) in enumerate(zip(draft.events.items(), instants, strict=True))
         ),
         is_damped=draft.n_first > 0 or casadi.sparsify(casadi.simplify(zero_rates)).nnz() > 0,
         first_order=draft.n_first,
@@ -119,8 +123,7 @@ def _outputs(draft: Draft) -> Shown:
     for (each, given), value in zip(draft.given["z"].items(), casadi.vertsplit(draft.solution), strict=True):
         text = given.description or f"Variable {each} of the constraints"
         shown.append((Variable(each, given.unit, text, "output", nominal=given.nominal), value))
-    for each, source in draft.outputs.items():
-        given = source if isinstance(source, variable) else variable(source)
+    for each, given in draft.outputs.items():
         (value,) = draft.evaluated(f"output '{each}'", given.value, [each], switches=True)
         shown.append((_variable(each, given, "output", None), value))
     return shown

@@ -23,6 +23,7 @@ from flexfmu.fmu_build.own_entries import (
     event,
     part,
     variable,
+    with_unit,
 )
 from flexfmu.model.symbolic import SymbolicBlock
 
@@ -81,26 +82,35 @@ class Draft:
     def __init__(
         self, name: str, q: Mapping[str, Any] | None = None, z: Mapping[str, Any] | None = None, **given: Any
     ) -> None:
-        arguments = Mechanics.__annotations__  # those of Common too
-        if unknown := given.keys() - arguments.keys():
-            raise ModelError(
-                f"a model has no argument '{min(unknown)}'; beside the equations it has {', '.join(arguments)}"
-            )
         if not isinstance(name, str) or not name:
             raise ModelError(f"the name of a model is a text, got {name!r}")
         self.name = name
-        entries = {"q": q, "rates": None, "x": None, "z": z, "u": None, "p": None, **given}
+        try:
+            self._declare({"q": q, "rates": None, "x": None, "z": z, "u": None, "p": None, **given})
+            self._check_names()
+        except ModelError as error:
+            raise ModelError(f"model '{name}': {error}") from None
+        self._make_symbols()
+        self._derive()
+
+    def _declare(self, entries: dict[str, Any]) -> None:
+        """What the user gives, and the states and parameters of parts."""
+        arguments = Mechanics.__annotations__  # those of Common too
+        if unknown := entries.keys() - {"q", "z"} - arguments.keys():
+            raise ModelError(
+                f"there is no argument '{min(unknown)}'; beside the equations there are {', '.join(arguments)}"
+            )
         self.description: str = entries.pop("description", "")
         for scope, each in entries.items():
             if not isinstance(each, Mapping | None):
-                raise ModelError(f"{scope} of model '{name}' is a dict by name, got {each!r}")
-        derived, outputs, events, friction, parts = (
+                raise ModelError(f"{scope} is a dict by name, got {each!r}")
+        self.derivations, outputs, self.events, friction, parts = (
             dict(entries.pop(scope, None) or {}) for scope in ("derived", "outputs", "events", "friction", "parts")
         )
         # what parts hold are states behind the user's own, whose rate is zero and which samples reset
         self.states, held, tuned = list(entries["x"] or {}), dict[str, variable](), dict[str, variable]()
         for each, source in parts.items():
-            block = _block(f"part '{each}' of model '{name}'", source)
+            block = _block(f"part '{each}'", source)
             held |= {f"{each}.{one.name}": variable(0.0, one.unit) for one in block.outputs}
             held |= {f"{each}.state[{k}]": variable(start) for k, start in enumerate(block.states, 1)}
             held[f"{each}.samples"] = variable(0.0)
@@ -108,52 +118,50 @@ class Draft:
                 f"{each}.{one.name}": variable(one.start, one.unit, minimum=one.minimum, maximum=one.maximum)
                 for one in block.parameters
             }
-            events[f"{each}.sample"] = self._sample(each, source, block)
+            self.events[f"{each}.sample"] = self._sample(each, source, block)
         entries |= {"x": {**(entries["x"] or {}), **held}, "p": {**(entries["p"] or {}), **tuned}}
+        self.n_held = len(held)
         self.given = {
             scope: {each: declared(scope, each, value) for each, value in (found or {}).items()}
             for scope, found in entries.items()
         }
+        self.outputs = {each: with_unit("output", each, source) for each, source in outputs.items()}
+        self.friction = {each: f if isinstance(f, tuple) else (f, f) for each, f in friction.items()}
+
+    def _check_names(self) -> None:
+        """Check that there are states, that names are unique, and that what refers to others finds them."""
         q, rates, x, z, u, p = self.given.values()
-        self.outputs, self.events, self.n_held = outputs, events, len(held)
         if not q and not x:
-            raise ModelError(f"model '{name}' has no states; give at least one")
+            raise ModelError("there are no states; give at least one")
         own = [*q, *x, *z, *u, *p]
-        names = Counter([*own, *derived, *events]) | Counter([*own, *outputs])
+        names = Counter([*own, *self.derivations, *self.events]) | Counter([*own, *self.outputs])
         for each in names:
             check_name(each)
         if twice := [each for each, count in names.items() if count > 1]:
-            raise ModelError(f"model '{name}' has the name '{twice[0]}' more than once; names must be unique")
+            raise ModelError(f"the name '{twice[0]}' is there more than once; names must be unique")
         if unknown := rates.keys() - q.keys():
-            raise ModelError(
-                f"rates of model '{name}' name '{min(unknown)}', which is no coordinate; these are {', '.join(q)}"
-            )
+            raise ModelError(f"rates name '{min(unknown)}', which is no coordinate; these are {', '.join(q)}")
         self.given["rates"] = {each: rates.get(each, variable(0.0)) for each in q}
+        if wrong := [each for each, entry in self.events.items() if not isinstance(entry, event)]:
+            raise ModelError(f"event '{wrong[0]}' must be made by flexfmu.event")
+        if wrong := [each for each, pair in self.friction.items() if each not in q or len(pair) != 2]:
+            raise ModelError(f"friction is coordinate → force, or a pair of forces, got '{wrong[0]}'")
+
+    def _make_symbols(self) -> None:
+        """Symbols of unknowns, of which time is the last, inputs and constants, and what users' functions get."""
+        q, _, x, z, u, p = self.given.values()
         self.n_second, self.n_first = len(q), len(x)
-        # unknowns, of which time is the last
         n = self.n_second + self.n_first + 1
         self.y, self.v, self.a = (casadi.SX.sym(letter, n) for letter in "yva")
-        if wrong := [each for each, entry in events.items() if not isinstance(entry, event)]:
-            raise ModelError(f"event '{wrong[0]}' of model '{name}' must be made by flexfmu.event")
-        self.friction = {each: f if isinstance(f, tuple) else (f, f) for each, f in friction.items()}
-        if wrong := [each for each, pair in self.friction.items() if each not in q or len(pair) != 2]:
-            raise ModelError(f"friction of model '{name}' is coordinate → force, or a pair of forces, got '{wrong[0]}'")
-        for each, (breakaway, slip) in self.friction.items():
-            if isinstance(breakaway, int | float) and isinstance(slip, int | float) and not 0.0 <= slip <= breakaway:
-                raise ModelError(
-                    f"friction of '{each}' of model '{name}' must be zero or positive, and while it slips at most that of breakaway, "
-                    f"got {breakaway:g} and {slip:g}"
-                )
         # constants, breakaway forces and directions of friction, sides of events
-        constants = len(p) + len(derived)
-        derived |= {f"friction.{each}": pair[0] for each, pair in self.friction.items()}
+        constants = len(p) + len(self.derivations)
         self.u = casadi.SX.sym("u", len(u))
         self.d = casadi.SX.sym("d", constants + 2 * len(self.friction) + len(self.events))
         self.time = self.y[n - 1]
         self.unsolved = self.solution = self.iterated = casadi.SX.sym("z", len(z))
 
         def named(letter: str, names: Sequence[str], symbols: casadi.SX) -> Names:
-            return Names(f"{letter} of model '{name}'", dict(zip(names, casadi.vertsplit(symbols), strict=True)))
+            return Names(f"{letter} of model '{self.name}'", dict(zip(names, casadi.vertsplit(symbols), strict=True)))
 
         second = slice(0, self.n_second)
         self.scopes: dict[str, Any] = {
@@ -163,19 +171,23 @@ class Draft:
             "x": named("x", list(x), self.v[self.n_second : n - 1]),
             "z": named("z", list(z), self.unsolved),
             "u": named("u", list(u), self.u),
-            "p": named("p", [*p, *derived][:constants], column(casadi.vertsplit(self.d)[:constants])),
+            "p": named("p", [*p, *self.derivations], column(casadi.vertsplit(self.d)[:constants])),
             "s": named("s", list(self.events), column(casadi.vertsplit(self.d)[constants + 2 * len(self.friction) :])),
             "t": self.time,
         }
-        # derived parameters as expressions of the others, which come first; what parts hold starts where it does
+
+    def _derive(self) -> None:
+        """Derived parameters as expressions of the others, which come first; what parts hold starts where it does."""
+        q, _, x, _, _, p = self.given.values()
         self.p = casadi.SX.sym("p", len(p) + len(q) * 2 + len(x) - self.n_held)
         self.derived = column(casadi.vertsplit(self.p)[: len(p)])
-        for each, source in derived.items():
+        breakaway = {f"friction.{each}": pair[0] for each, pair in self.friction.items()}
+        for each, source in (self.derivations | breakaway).items():
             (value,) = self.evaluated(f"derived parameter '{each}'", source, [each], scopes="p", switches=True)
             value = casadi.substitute(value, column(casadi.vertsplit(self.d)[: self.derived.numel()]), self.derived)
             if casadi.depends_on(value, self.d):
                 raise ModelError(
-                    f"derived parameter '{each}' of model '{name}' needs one that comes later; change their order"
+                    f"derived parameter '{each}' of model '{self.name}' needs one that comes later; change their order"
                 )
             self.derived = casadi.vertcat(self.derived, value)
         self.derived = column([*casadi.vertsplit(self.derived), *[0.0] * (len(self.friction) + len(self.events))])
@@ -225,8 +237,7 @@ class Draft:
         Raises:
             ModelError: it fails, gives something else, has free symbols or jumps.
         """
-        where = what if what.startswith("derived") else f"{what} of model '{self.name}'"
-        where = where if self.name in where else f"{where} of model '{self.name}'"
+        where = f"{what} of model '{self.name}'"
         found = self.called(where, source, scopes) if callable(source) else source
         if isinstance(found, Mapping):
             if unknown := [each for each in found if each not in names]:

@@ -30,9 +30,6 @@ class variable:  # noqa: N801 - written by users as a call
             relative to the nominal, or to the largest value that a state has had.
         minimum, maximum: admissible range in ``unit`` of a parameter or input.
         description: one sentence.
-
-    Raises:
-        ModelError: the unit is unknown.
     """
 
     value: Any
@@ -42,11 +39,6 @@ class variable:  # noqa: N801 - written by users as a call
     minimum: float | None = None
     maximum: float | None = None
     description: str = ""
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.unit, str):
-            raise ModelError(f"a unit is a text such as N.m or rad/s2, 1 for none, got {self.unit!r}")
-        unit_exponents(self.unit)
 
     @property
     def size(self) -> float:
@@ -187,13 +179,30 @@ def check_name(name: Any) -> None:
         )
 
 
+def with_unit(scope: str, name: str, value: Any) -> variable:
+    """A user's entry, a variable or its value, with its unit checked.
+
+    Raises:
+        ModelError: the unit is unknown.
+    """
+    given = value if isinstance(value, variable) else variable(value)
+    try:
+        unit_exponents(given.unit)
+    except (ModelError, TypeError) as error:
+        reason = (
+            error if isinstance(error, ModelError) else f"must be a text such as N.m, 1 for none, got {given.unit!r}"
+        )
+        raise ModelError(f"unit of {scope} '{name}': {reason}") from None
+    return given
+
+
 def declared(scope: str, name: str, value: Any) -> variable:
-    """A user's entry with its numbers checked.
+    """A user's entry with its unit and numbers checked.
 
     Raises:
         ModelError: a number isn't finite, the nominal value isn't positive, the start is out of range, or the name is none.
     """
-    given = value if isinstance(value, variable) else variable(value)
+    given = with_unit(scope, name, value)
     check_name(name)
     unit = "" if given.unit == "1" else f" {given.unit}"
 

@@ -162,6 +162,8 @@ def dae(
         return assembled(draft, [], draft.evaluated("rhs", rhs, list(x)))
     # further states that follow the solution, from which Newton's method starts
     given = draft.given["z"]
+    if taken := [each for each in x if each.startswith("guess.")]:
+        raise ModelError(f"state '{taken[0]}' of model '{name}' can't have this name: guess.* are the FMU's own")
     follows = {f"guess.{each}": replace(given[each], value=value) for each, value in guess.items()}
     draft, defect, slope = drafted({**x, **follows})
     solution = guesses = column([draft.scopes["x"][each] for each in follows])

@@ -115,6 +115,7 @@ class Event:
         has_reset: whether states are reset.
         is_instant: whether the number moves at a constant rate between events, so that the time of the next one is known.
         at_start: whether an event that is past at the start happens there, as samples do.
+        name: for messages.
     """
 
     side: int
@@ -122,6 +123,7 @@ class Event:
     has_reset: bool
     is_instant: bool = False
     at_start: bool = False
+    name: str = ""
 
 
 @dataclass(frozen=True)

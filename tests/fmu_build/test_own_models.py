@@ -478,7 +478,12 @@ def test_parts_sample_at_their_instants() -> None:
 def test_bounces_that_accumulate_end_a_run() -> None:
     """With the reason, where they do: after nine times the first fall."""
     found = flexfmu.simulate(ball(), stop_time=10.0, step=0.05)
-    assert "follows itself in ever shorter time" in found.message
+    assert "an event (bounce) follows itself in ever shorter time" in found.message
+    assert repr(found).startswith(f"Simulation failed after {found.steps} steps: ball failed: ")
+    # so does a switch along whose zero the motion slides
+    events = {"side": flexfmu.event(lambda x: x.x)}
+    slide = flexfmu.ode("slide", x={"x": 0.1}, rhs=lambda s: -s.side, events=events)
+    assert "one of these events happens again at once: side" in flexfmu.simulate(slide, stop_time=1.0, step=1.0).message
     assert found.recording.time[-1] == pytest.approx(9 * np.sqrt(2 / GRAVITY), abs=0.05)
 
 
@@ -658,15 +663,15 @@ BAD: list[tuple[str, Callable[[], object]]] = [
     ("takes 'w'; it may take", lambda: flexfmu.ode("m", x={"x": 1.0}, rhs=lambda w: w)),
     ("start of x 'x' must be a finite number", lambda: flexfmu.ode("m", **GOOD | {"x": {"x": float("nan")}})),
     ("nominal of x 'x' must be a positive number", lambda: flexfmu.ode("m", **GOOD | {"x": {"x": flexfmu.variable(1.0, nominal=0.0)}})),
-    ("unit 'furlong' isn't known", lambda: flexfmu.ode("m", **GOOD | {"x": {"x": flexfmu.variable(1.0, "furlong")}})),
+    ("model 'm': unit of x 'x': unit 'furlong' isn't known", lambda: flexfmu.ode("m", **GOOD | {"x": {"x": flexfmu.variable(1.0, "furlong")}})),
     ("jumps \\(if_else\\)|jumps \\(<", lambda: flexfmu.ode("m", **GOOD | {"rhs": lambda x: casadi.if_else(x.x > 0, 1, -1)})),
     ("jumps \\(sign\\)", lambda: flexfmu.ode("m", **GOOD | {"rhs": lambda x: casadi.sign(x.x)})),
     ("has the number nan", lambda: flexfmu.ode("m", **GOOD | {"rhs": [float("nan")]})),
     ("gives nothing for 'x'", lambda: flexfmu.ode("m", **GOOD | {"rhs": {}})),
-    ("has no states", lambda: flexfmu.ode("m", x={}, rhs=[])),
+    ("there are no states", lambda: flexfmu.ode("m", x={}, rhs=[])),
     ("MX; use SX", lambda: flexfmu.ode("m", **GOOD | {"rhs": [casadi.MX.sym("x")]})),
     ("ZeroDivisionError", lambda: flexfmu.ode("m", **GOOD | {"rhs": lambda x: x.x / (1 / 0)})),
-    ("has the name 'x' more than once", lambda: flexfmu.ode("m", **GOOD, p={"x": 1.0})),
+    ("model 'm': the name 'x' is there more than once", lambda: flexfmu.ode("m", **GOOD, p={"x": 1.0})),
     ("needs one that comes later", lambda: flexfmu.ode("m", **GOOD, derived={"a": lambda p: p.b, "b": lambda p: 1.0})),
     ("isn't symmetric: its entry \\(a, b\\)", lambda: flexfmu.second_order("m", q={"a": 0.0, "b": 0.0}, residual=lambda a: [a.a + a.b, a.b])),
     ("isn't symmetric away from the start: its entry \\(a, b\\)", lambda: flexfmu.second_order("m", q={"a": 0.0, "b": 0.0}, residual=lambda q, a: [a.a + q.a * a.b, a.b])),
@@ -681,7 +686,7 @@ BAD: list[tuple[str, Callable[[], object]]] = [
     ("direction of an event is", lambda: flexfmu.event(lambda t: t, 2)),
     ("must be made by flexfmu.event", lambda: flexfmu.ode("m", **GOOD, events={"e": lambda t: t})),
     ("gives a dict of states, of x", lambda: flexfmu.ode("m", **GOOD, events={"e": flexfmu.event(lambda t: t, 0, {"y": 1.0})})),
-    ("friction of model 'm' is", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda a: a.a, friction={"b": 1.0})),
+    ("model 'm': friction is", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda a: a.a, friction={"b": 1.0})),
     ("index is 2 or 3", lambda: flexfmu.dae("m", x={"x": 1.0}, z={"z": 0.0}, rhs=lambda z: z.z, constraints=lambda x: x.x - 1)),
     ("can't be solved at the start", lambda: flexfmu.dae("m", x={"x": 1.0}, z={"z": 0.1}, rhs=lambda z: z.z, constraints=lambda z: z.z**2 + 1)),
     ("must be at least 0.0, got -1.0$", lambda: flexfmu.ode("m", **GOOD, p={"k": flexfmu.variable(-1.0, minimum=0.0)})),
@@ -691,16 +696,20 @@ BAD: list[tuple[str, Callable[[], object]]] = [
     ("start.a' can't be the name of a variable: ", lambda: flexfmu.ode("m", **GOOD, p={"start.a": 1.0})),
     ("event 'e' of model 'm' is constant", lambda: flexfmu.ode("m", **GOOD, events={"e": flexfmu.event(1.0)})),
     ("got -1 and -1", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda a: a.a, friction={"a": -1.0})),
+    ("got -2 and -2 at the start", lambda: flexfmu.second_order("m", q={"a": 0.0}, p={"f": 2.0}, residual=lambda a: a.a, friction={"a": lambda p: -p.f})),
     ("got 1 and 2", lambda: flexfmu.second_order("m", q={"a": 0.0}, residual=lambda a: a.a, friction={"a": (1.0, 2.0)})),
     ("no sampled controller feeds m", lambda: flexfmu.margins(flexfmu.ode("m", **GOOD))),
     ("is no scene: simulate", lambda: flexfmu.run(flexfmu.ode("m", **GOOD))),  # type: ignore[arg-type]
     ("is no scene: simulate", lambda: flexfmu.modes(flexfmu.ode("m", **GOOD))),  # type: ignore[arg-type]
-    ("a unit is a text", lambda: flexfmu.variable(1.0, None)),  # type: ignore[arg-type]
+    ("unit of p 'k': must be a text", lambda: flexfmu.ode("m", **GOOD, p={"k": flexfmu.variable(1.0, None)})),  # type: ignore[arg-type]
     ("'time' can't be the name", lambda: flexfmu.ode("m", **GOOD, u={"time": 1.0})),
-    ("has no argument 'parameters'", lambda: flexfmu.ode("m", **GOOD, parameters={})),  # type: ignore[call-arg]
-    ("events of model 'm' is a dict", lambda: flexfmu.ode("m", **GOOD, events=[])),  # type: ignore[arg-type]
+    ("there is no argument 'parameters'", lambda: flexfmu.ode("m", **GOOD, parameters={})),  # type: ignore[call-arg]
+    ("model 'm': events is a dict", lambda: flexfmu.ode("m", **GOOD, events=[])),  # type: ignore[arg-type]
     ("has no variables z", lambda: flexfmu.dae("m", **GOOD, z={}, constraints=[])),
-    ("the name 'x' more than once", lambda: flexfmu.ode("m", **GOOD, outputs={"x": 1.0})),
+    ("the name 'x' is there more than once", lambda: flexfmu.ode("m", **GOOD, outputs={"x": 1.0})),
+    ("model 'm': unit of output 'y': unit 'furlong' isn't known", lambda: flexfmu.ode("m", **GOOD, outputs={"y": flexfmu.variable(1.0, "furlong")})),
+    ("state 'guess.z' of model 'm' can't have", lambda: flexfmu.dae("m", x={"x": 1.0, "guess.z": 1.0}, z={"z": 1.0}, rhs=lambda z: [-z.z, 0], constraints=lambda x, z: z.z**3 - x.x)),
+    ("naming is structured or flat, got 'x'", lambda: flexfmu.build("barnard2012-6kg", naming="x")),  # type: ignore[arg-type]
     ("x of the point must be a finite number", lambda: flexfmu.linearize(flexfmu.ode("m", **GOOD), {"x": "a"})),
     ("has no parameter 'k'", lambda: flexfmu.sweep(flexfmu.ode("m", **GOOD), {"k": [1.0]}, stop_time=1.0, step=0.1)),
     ("has no output 'k'", lambda: flexfmu.sweep(flexfmu.ode("m", **GOOD), {"start.x": [1.0]}, record=["k"], stop_time=1.0, step=0.1)),
@@ -708,7 +717,7 @@ BAD: list[tuple[str, Callable[[], object]]] = [
     ("needs its end and communication step", lambda: flexfmu.sweep(flexfmu.ode("m", **GOOD), {"start.x": [1.0]}, step=0.1)),
     ("metrics is for scenes", lambda: flexfmu.sweep(flexfmu.ode("m", **GOOD), {"start.x": [1.0]}, metrics=["a"], stop_time=1.0, step=0.1)),
     ("are for models from equations", lambda: flexfmu.sweep("barnard2012-6kg", {"payload.mass": [1.0]}, step=1.0)),
-    ("part 'c' of model 'm' must be flexfmu.part of", lambda: flexfmu.ode("m", **GOOD, parts={"c": watch})),  # type: ignore[dict-item]
+    ("model 'm': part 'c' must be flexfmu.part of", lambda: flexfmu.ode("m", **GOOD, parts={"c": watch})),  # type: ignore[dict-item]
     ("inputs of part 'c' of model 'm' gives 2", lambda: flexfmu.ode("m", **GOOD, parts={"c": flexfmu.part(watch, lambda x, t: [x.x, t])})),
     ("'2' for FMI 2.0 or '3' for FMI 3.0, got '3.0'", lambda: flexfmu.build(flexfmu.ode("m", **GOOD), fmi="3.0")),  # type: ignore[arg-type]
     ("'2' for FMI 2.0 or '3' for FMI 3.0, got 1", lambda: flexfmu.build("barnard2012-6kg", fmi=1)),  # type: ignore[arg-type]

@@ -283,8 +283,10 @@ class Simulation:
 
     def __repr__(self) -> str:
         """Return at most five lines: how it went, and what was recorded."""
-        head = f"Simulation: {self.steps} steps, {shorten(self.message, 50)}"
-        return few_lines(f"{head}; recorded:", [*self.recording.columns])
+        head = f"Simulation: {self.steps} steps, {shorten(self.message, 50)}; recorded:"
+        if self.error is not None:
+            head = f"Simulation failed after {self.steps} steps: {self.message}"
+        return few_lines(head, [*self.recording.columns])
 
 
 def outcome_of(error: BaseException | None, initialized: bool) -> Outcome:

@@ -103,6 +103,7 @@ typedef struct {
   double default_tolerance;  /* relative tolerance where fmi2SetupExperiment gives none */
   double minimum_margin;     /* smallest admissible value of `singularity` */
   const char *margin_name;   /* what `singularity` measures, for messages */
+  const char *events_text;   /* names of the events, for messages; NULL if there are none */
   const char *iterated;      /* variables for which the equations solve by iteration, for messages; NULL if there are none */
 
   flex_function derive;         /* (p) -> d */

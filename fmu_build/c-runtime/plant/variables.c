@@ -83,8 +83,10 @@ void flex_explain(flex_plant *plant, const char *what, const flex_failure *failu
       add_pose(plant);
       break;
     case FLEX_TOO_MANY_STEPS:
-      refuse(plant, "%s: at %.9g s %.0f steps have been made within one communication step; make that shorter", what, t,
-             value);
+      refuse(plant, "%s: at %.9g s %.0f steps have been made within one communication step; %s%s", what, t, value,
+             model->events_text ? "make the switch smooth, or switch with a distance, where one of these events happens again at once: "
+                                : "make that shorter",
+             model->events_text ? model->events_text : "");
       break;
     case FLEX_TOO_MUCH_WORK:
       refuse(plant,
@@ -105,9 +107,9 @@ void flex_explain(flex_plant *plant, const char *what, const flex_failure *failu
       break;
     case FLEX_EVENTS_ACCUMULATE:
       refuse(plant,
-             "%s: at %.9g s an event follows itself in ever shorter time, as the bounces of a ball that comes to rest; let a spring "
-             "and damper carry it, or end before",
-             what, t);
+             "%s: at %.9g s an event (%s) follows itself in ever shorter time, as the bounces of a ball that comes to rest; let a "
+             "spring and damper carry it, switch with a distance, or end before",
+             what, t, model->events_text);
       break;
     case FLEX_STEP_TOO_LONG:
       refuse(plant,
