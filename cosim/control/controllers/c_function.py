@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from ctypes import CDLL, c_void_p
 from functools import lru_cache
 from pathlib import Path
-from time import monotonic
+from time import process_time
 
 import casadi
 import numpy as np
@@ -282,9 +282,9 @@ def _unlike(
     signals[::4] = 0.0
 
     def forth() -> tuple[list[RealArray], list[RealArray]]:
-        call, end = _caller(path, sizes, parameters), monotonic() + TRYING
+        call, end = _caller(path, sizes, parameters), process_time() + TRYING
         taken, found = [np.array([*states, 0.0])], list[RealArray]()
-        while len(found) < TRIED and (len(found) < LEAST_TRIED or monotonic() < end):
+        while len(found) < TRIED and (len(found) < LEAST_TRIED or process_time() < end):
             found.append(call(taken[-1], signals[len(found)]))
             following = found[-1][outputs:]
             # a run ends where a state is no number; here it begins again
