@@ -16,6 +16,9 @@ from remez import Function, minimax
 mp.prec = 1400  # the table of 2/pi alone has 1184 bits
 RUNTIME = Path(__file__).parents[1] / "fmu_build" / "c-runtime" / "math"
 
+LINE = 136
+"""Longest line of a table, without its indentation."""
+
 PI_PART_BITS = 33
 """The number of quarter turns, of up to 20 bits, times a part of pi/2 is exact."""
 EXPONENTIAL_STEPS = 32
@@ -142,7 +145,10 @@ def _fixed(x: mpf) -> str:
 
 
 def _array(kind: str, name: str, size: object, values: Iterable[str]) -> list[str]:
-    return [f"static const {kind} {name}[{size}] = {{", *(f"    {value}," for value in values), "};"]
+    texts = [f"{value}," for value in values]
+    count = LINE // (len(max(texts, key=len)) + 1)
+    rows = [f"    {' '.join(texts[k : k + count])}" for k in range(0, len(texts), count)]
+    return [f"static const {kind} {name}[{size}] = {{", *rows, "};"]
 
 
 def _header(name: str, lines: list[str]) -> str:
