@@ -7,7 +7,7 @@ Equations are functions of named symbols, or CasADi expressions of symbols with 
 
     vdp = ode("vdp", x={"x0": 2.0, "x1": 0.0}, p={"mu": 1.0}, rhs=lambda x, p: [x.x1, p.mu * (1 - x.x0**2) * x.x1 - x.x0])
 
-Constraints that are linear in z are solved as they stand. Others are solved by eight of Newton's iterations from a guess, a further
+Constraints that are linear in z are solved as they stand. Others are solved by ten of Newton's iterations from a guess, a further
 state that follows the solution; where these don't converge the equations give no number, and the integrator takes shorter steps.
 """
 
@@ -38,8 +38,9 @@ RELAXATION = 1e4
 CONVERGED = 1e-7
 """Largest last correction of Newton's iterations relative to the size of z: the error that it leaves is about its square."""
 
-DAMPED_ITERATIONS, SHARES = 6, (1 / 64, 1 / 8, 1.0)
-"""Newton iterations for constraints, in every evaluation of the equations, that may take a share of the step only; two whole ones follow."""
+DAMPED_ITERATIONS, SHARES = 8, (1 / 8, 1 / 2, 1.0, 4.0)
+"""Newton iterations for constraints, in every evaluation of the equations, that may take a share of the step or, where an exponential
+function makes it short, a multiple; two whole ones follow."""
 
 START_ITERATIONS, HALVINGS = 100, 40
 """Newton iterations for constraints at the start, and halvings of each step."""

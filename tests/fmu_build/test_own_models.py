@@ -161,6 +161,26 @@ def test_steep_constraints_are_solved_from_far_guesses_and_behind_jumps() -> Non
     ud = [diode_voltage(t, u, side) for t, u, side in zip(times, uc, 2.0 * (times > 0.01301) - 1, strict=True)]
     for guess in ({"ud": 0.6}, {"ud": 1.2, "i": 3.5e-3}, {"ud": 2.0}, {}):
         model = rectifier(**guess)
+    # in the equations from any guess within 0.4 V of the solution
+    rng, n = np.random.default_rng(0), model.degrees_of_freedom
+    start = model.functions["initial_coordinates"]([each.start for each in model.parameters]).full().ravel()
+    d = model.functions["derive"]([each.start for each in model.parameters]).full().ravel()
+    for t in rng.uniform(0.0, 0.02, 200):
+        d[-1] = side = 1.0 if t > 0.013 else -1.0
+        solution, (y, v) = diode_voltage(t, 0.5, side), np.split(start.copy(), 2)
+        near = solution + rng.uniform(-0.4, 0.4)
+        y[-1], v[:3] = t, [0.5, near, 1e-12 * (np.exp(near / 0.05) - 1)]
+        rate = model.functions["residual"](y, v, np.zeros(n), [], d).full()[0, 0]
+        assert rate == pytest.approx((0.5 - solution) / 2.2e-3, rel=1e-7)
+    # a source that turns far faster than the time's size of 1 s
+    fast = flexfmu.dae(
+        "fast",
+        x={"uc": 0.0},
+        z={"ud": 0.0},
+        rhs=lambda x, z, t: [1e3 * (5 * casadi.sin(3e4 * t) - z.ud - x.uc)],
+        constraints=lambda x, z, t: 1e-10 * (casadi.exp(z.ud / 0.025) - 1) - 5 * casadi.sin(3e4 * t) + z.ud + x.uc,
+    )
+    assert flexfmu.simulate(fast, stop_time=1e-3, step=1e-4).error is None
     run = flexfmu.simulate(model, stop_time=0.02, step=1e-4, tolerance=1e-9)
     for name, expected in (("uc", uc), ("ud", ud)):
         difference = np.delete(run.recording[f"rectifier.{name}"].values - expected, 130)

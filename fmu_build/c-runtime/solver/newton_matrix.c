@@ -1,6 +1,7 @@
 /* The Newton matrix of s stages, split by the eigenvectors of the method's matrix A into s systems of size n, complex ones in
  * pairs (Butcher, On the implementation of implicit Runge-Kutta methods, BIT 16 (1976); Hairer and Wanner, Solving Ordinary
- * Differential Equations II, section IV.8). Damping and stiffness are taken by differences of the residual. */
+ * Differential Equations II, section IV.8). Damping and stiffness are taken by differences of the residual;
+ * coordinates of first order, on which nothing depends, and the time, which moves as it is, have none. */
 #include "newton_matrix.h"
 
 #include <math.h>
@@ -90,8 +91,9 @@ static void difference_lanes(flex_newton_matrix *matrix, flex_equations *equatio
       if (i == n) continue;
       real *x = (lane % 2 ? v : y) + LANES * i + lane, kept = *x;
       double size = coordinate_scale(scale, (lane % 2 ? rate_weight : position_weight)[i]);
-      *x = kept + DIFFERENCE * fmax(size, fabs(kept));
-      step[lane] = *x - kept;
+      int moves = i < (lane % 2 ? flex_state_rates(equations->model) : flex_state_coordinates(equations->model));
+      if (moves) *x = kept + DIFFERENCE * fmax(size, fabs(kept));
+      step[lane] = moves ? *x - kept : HUGE_VAL;
     }
     flex_residual_lanes(equations, first + 1 < n ? LANES : 2, y, v, at, inputs, r);
     for (int lane = 0; lane < LANES; lane++) {
@@ -126,14 +128,14 @@ int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, c
 #endif
   for (int i = 0; i < n && !has_lanes; i++) {
     // what is held doesn't move: with anything in its columns, rounding errors of the inverse would move it
-    if (flex_is_held(equations, i)) {
-      memset(matrix->stiffness + i * n, 0, (size_t)n * sizeof *y);
-      memset(matrix->damping + i * n, 0, (size_t)n * sizeof *y);
-      continue;
-    }
+    int is_held = flex_is_held(equations, i);
     real dy = coordinate_scale(scale, position_weight[i]), dv = coordinate_scale(scale, rate_weight[i]);
-    refused |= difference_column(matrix, equations, a, u, matrix->y, i, dy, matrix->stiffness + i * n);
-    refused |= difference_column(matrix, equations, a, u, matrix->v, i, dv, matrix->damping + i * n);
+    memset(matrix->stiffness + i * n, 0, (size_t)n * sizeof *y);
+    memset(matrix->damping + i * n, 0, (size_t)n * sizeof *y);
+    if (!is_held && i < flex_state_coordinates(equations->model))
+      refused |= difference_column(matrix, equations, a, u, matrix->y, i, dy, matrix->stiffness + i * n);
+    if (!is_held && i < flex_state_rates(equations->model))
+      refused |= difference_column(matrix, equations, a, u, matrix->v, i, dv, matrix->damping + i * n);
   }
   matrix->record->is_known = !refused;
   forget_inverses(matrix);
