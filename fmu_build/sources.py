@@ -66,7 +66,9 @@ _SHARED = ("fmi", "exchange")
 
 _FMI3_TEXTS = (
     ("fmi2Component", "fmi3Instance"),
-    ("fmi2Real", "fmi3Float64"),
+    ("fmi2GetRealOutputDerivatives", "fmi3GetOutputDerivatives"),
+    *((f"fmi2{verb}Real", f"fmi3{verb}Float64") for verb in ("Get", "Set", "")),
+    *((f"fmi2{verb}Integer", f"fmi3{verb}Int32") for verb in ("Get", "Set", "")),
     ("fmi2GetDerivatives", "fmi3GetContinuousStateDerivatives"),
     ("FMUstate", "FMUState"),
     ("DeSerialize", "Deserialize"),

@@ -327,7 +327,7 @@ static void serve_exchange(fuzzed *one, tape *tape, flex_call_id call) {
 #endif
 
 static int concerns_exchange(flex_call_id call) {
-  return call >= call_fmi2EnterEventMode && call <= call_fmi2GetNominalsOfContinuousStates;
+  return call >= call_fmi2EnterContinuousTimeMode && call <= call_fmi2NewDiscreteStates;
 }
 
 // through bytes, which are spoilt now and then

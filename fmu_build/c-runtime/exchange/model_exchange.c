@@ -11,10 +11,7 @@ static flex_instance *checked(fmi2Component c, flex_call_id call, const char *wh
 }
 
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
-  flex_instance *instance = flex_checked(c, call_fmi2EnterContinuousTimeMode);
-  if (!instance) return fmi2Error;
-  flex_enter_phase(instance, CONTINUOUS_TIME_MODE);
-  return fmi2OK;
+  return flex_enter_phase(c, call_fmi2EnterContinuousTimeMode, CONTINUOUS_TIME_MODE);
 }
 
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStatePriorToCurrentPoint,

@@ -59,10 +59,6 @@ fmi2Status flex_log_refusal(const flex_instance *instance) {
   return flex_log(instance, fmi2Error, LOG_ERROR, "%s", instance->backend->message);
 }
 
-void flex_enter_phase(flex_instance *instance, flex_phase phase) {
-  instance->session.phase = (int)phase;
-}
-
 flex_instance *flex_checked(fmi2Component component, flex_call_id call) {
   flex_instance *instance = component;
   if (!instance) return NULL;
@@ -92,13 +88,64 @@ int flex_misfits(const flex_instance *instance, flex_call_id call, const char *w
   return 1;
 }
 
-const char *flex_obstacle(const char *name, flex_kind kind, const char *guid) {
+fmi2Status flex_enter_phase(fmi2Component component, flex_call_id call, flex_phase phase) {
+  flex_instance *instance = flex_checked(component, call);
+  if (!instance) return fmi2Error;
+  instance->session.phase = (int)phase;
+  return fmi2OK;
+}
+
+// why an instance of a kind cannot be made with these; NULL if it can
+static const char *obstacle(const char *name, flex_kind kind, const char *guid) {
   if (!name || !*name) return "an instance needs a name, got an empty one";
   if (kind == EXCHANGE && !flex_backend_has_model_exchange())
     return "this FMU supports co-simulation only, not model exchange";
   if (!guid || strcmp(guid, flex_backend_guid()) != 0)
     return "the GUID differs from that of the binary; modelDescription.xml and binary do not belong together";
   return NULL;
+}
+
+// instance, name and backend in one block of memory
+static flex_instance *create(const char *name, const flex_callbacks *callbacks) {
+  flex_arena measure = {NULL, 0};
+  size_t name_size = strlen(name) + 1;
+  flex_take(&measure, sizeof(flex_instance));
+  flex_take(&measure, name_size);
+  char *block = flex_allocate(callbacks, measure.used + flex_backend_size());
+  if (!block) return NULL;
+
+  // an importer's allocateMemory need not clear
+  memset(block, 0, measure.used + flex_backend_size());
+  flex_arena arena = {block, 0};
+  flex_instance *instance = flex_take(&arena, sizeof *instance);
+  instance->name = memcpy(flex_take(&arena, name_size), name, name_size);
+  instance->callbacks = *callbacks;
+  instance->backend = flex_backend_create(block + arena.used);
+  return instance;
+}
+
+flex_instance *flex_instantiate(const char *name, flex_kind kind, const char *guid, int is_logging,
+                                const flex_callbacks *callbacks) {
+  const char *why_not = obstacle(name, kind, guid);
+  flex_instance *instance = why_not ? NULL : create(name, callbacks);
+  if (!why_not && !instance) why_not = "out of memory";
+  if (why_not) {
+    flex_hand_over(callbacks, name ? name : "", fmi2Error, flex_log_categories[LOG_ERROR], why_not);
+    return NULL;
+  }
+  for (int i = 0; i < N_LOG_CATEGORIES; i++) instance->logged[i] = is_logging || FLEX_IS_SHOWN(i);
+  instance->session.kind = kind;
+  instance->session.phase = INSTANTIATED;
+  return instance;
+}
+
+void fmi2FreeInstance(fmi2Component c) {
+  flex_instance *instance = c;
+  if (!instance) return;
+  const flex_callbacks callbacks = instance->callbacks;
+  flex_release_states(instance);
+  if (instance->scratch) flex_release(&callbacks, instance->scratch);
+  flex_release(&callbacks, instance);
 }
 
 static int category_index(const char *name) {
@@ -166,7 +213,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
   flex_instance *instance = flex_checked(c, call_fmi2ExitInitializationMode);
   if (!instance) return fmi2Error;
   if (flex_backend_begin(instance->backend)) return flex_log_refusal(instance);
-  flex_enter_phase(instance, instance->session.kind == EXCHANGE || instance->session.has_events ? EVENT_MODE : STEP_COMPLETE);
+  instance->session.phase = instance->session.kind == EXCHANGE || instance->session.has_events ? EVENT_MODE : STEP_COMPLETE;
   return fmi2OK;
 }
 
@@ -176,7 +223,7 @@ fmi2Status fmi2Terminate(fmi2Component c) {
   char text[FLEX_MESSAGE_SIZE];
   flex_backend_summarise(instance->backend, text, sizeof text);
   flex_log(instance, fmi2OK, LOG_STATISTICS, "%s", text);
-  flex_enter_phase(instance, TERMINATED);
+  instance->session.phase = TERMINATED;
   return fmi2OK;
 }
 
@@ -185,9 +232,9 @@ fmi2Status fmi2Reset(fmi2Component c) {
   if (!instance) return fmi2Error;
   flex_backend_reset(instance->backend);
   const flex_session *old = &instance->session;
-  const flex_session fresh = {.kind = old->kind, .has_events = old->has_events, .returns_early = old->returns_early};
+  const flex_session fresh = {
+      .phase = INSTANTIATED, .kind = old->kind, .has_events = old->has_events, .returns_early = old->returns_early};
   instance->session = fresh;
   instance->reason[0] = '\0';
-  flex_enter_phase(instance, INSTANTIATED);
   return fmi2OK;
 }

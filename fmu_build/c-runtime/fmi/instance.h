@@ -9,6 +9,13 @@
 #include "private.h"
 #include "refusal.h"
 
+/* call_fmi2DoStep and so on */
+typedef enum {
+#define X(function, kinds, phases) call_##function,
+  FLEX_FMI2_CALLS(X)
+#undef X
+} flex_call_id;
+
 /* log categories, as the model description lists them */
 typedef enum { LOG_ERROR, LOG_WARNING, LOG_DISCARD, LOG_FATAL, LOG_STATISTICS, N_LOG_CATEGORIES } flex_log_category;
 
@@ -29,11 +36,11 @@ typedef struct {
   flex_backend *backend;
   flex_session session;
   flex_callbacks callbacks;
-  const char *name;               /* FMI 2.0 */
+  const char *name;
   int logged[N_LOG_CATEGORIES];   /* 1 = the category is shown */
   double *scratch;                /* FMI 3.0: as many numbers as there are outputs, event indicators, and inputs within a step */
   double *asked;                  /* FMI 3.0: within it, the inputs of an intermediate update */
-  void *before;                   /* FMI 3.0: numeric state at the beginning of a step, for one that is discarded */
+  void *before;                   /* FMI 3.0: behind it, numeric state at the beginning of a step, for one that is discarded */
   void *freed_states;             /* memory of freed FMU states, for the next ones */
   char reason[FLEX_MESSAGE_SIZE]; /* FMI 2.0: why the last step was discarded, if it was and no state was restored since */
 } flex_instance;
@@ -54,10 +61,12 @@ int flex_lacks(const flex_instance *instance, flex_call_id call, const char *wha
 int flex_misfits(const flex_instance *instance, flex_call_id call, const char *what, const void *place, size_t count,
                  size_t needed);
 
-void flex_enter_phase(flex_instance *instance, flex_phase phase);
+/* a call that does no more than lead to another state */
+fmi2Status flex_enter_phase(fmi2Component component, flex_call_id call, flex_phase phase);
 
-/* why an instance of a kind cannot be made with these; NULL if it can */
-const char *flex_obstacle(const char *name, flex_kind kind, const char *guid);
+/* a new instance; NULL after logging why there is none */
+flex_instance *flex_instantiate(const char *name, flex_kind kind, const char *guid, int is_logging,
+                                const flex_callbacks *callbacks);
 
 /* before initialisation: tolerance, where one is given, start time and stop time */
 fmi2Status flex_set_up(flex_instance *instance, int has_tolerance, double tolerance, double start, int has_stop, double stop);
@@ -67,5 +76,12 @@ int flex_step_is_impossible(const flex_instance *instance, double point, double 
 
 /* gives back the memory of freed FMU states */
 void flex_release_states(flex_instance *instance);
+
+/* 1 after logging it, if an output is among the variables before initialisation, when nothing is computed */
+int flex_reads_too_early(const flex_instance *instance, const fmi2ValueReference *references, size_t count);
+
+/* 1 after logging it, if an array of directional derivatives is missing or has another number of elements than it must have */
+int flex_lacks_derivatives(const flex_instance *instance, flex_call_id call, const flex_direction *direction, const double *seed,
+                           size_t n_seed, size_t seeds, const double *result, size_t n_result, size_t results);
 
 #endif

@@ -4,10 +4,7 @@
 #include "instance.h"
 
 fmi2Status fmi2EnterEventMode(fmi2Component c) {
-  flex_instance *instance = flex_checked(c, call_fmi2EnterEventMode);
-  if (!instance) return fmi2Error;
-  flex_enter_phase(instance, EVENT_MODE);
-  return fmi2OK;
+  return flex_enter_phase(c, call_fmi2EnterEventMode, EVENT_MODE);
 }
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *eventInfo) {

@@ -1,4 +1,4 @@
-/* Values of variables and their derivatives. */
+/* Values of variables, and derivatives of inputs. */
 #include "instance.h"
 
 // value references and values of so many variables
@@ -6,20 +6,10 @@ static int lacks_arrays(const flex_instance *instance, flex_call_id call, const 
   return flex_lacks(instance, call, "value references", vr, nvr) || flex_lacks(instance, call, "values", value, nvr);
 }
 
-// whether an output is among the variables: before initialisation nothing is computed
-static int has_output(const flex_instance *instance, const fmi2ValueReference *vr, size_t nvr) {
-  unsigned first = instance->backend->n_settable, end = first + instance->backend->n_outputs;
-  for (size_t i = 0; i < nvr; i++)
-    if (vr[i] >= first && vr[i] < end) return 1;
-  return 0;
-}
-
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[]) {
   flex_instance *instance = flex_checked(c, call_fmi2GetReal);
-  if (!instance || lacks_arrays(instance, call_fmi2GetReal, vr, value, nvr)) return fmi2Error;
-
-  if (instance->session.phase == INSTANTIATED && has_output(instance, vr, nvr))
-    return flex_log(instance, fmi2Error, LOG_ERROR, "outputs cannot be read before fmi2EnterInitializationMode");
+  if (!instance || lacks_arrays(instance, call_fmi2GetReal, vr, value, nvr) || flex_reads_too_early(instance, vr, nvr))
+    return fmi2Error;
   return flex_backend_get_reals(instance->backend, vr, nvr, value) ? flex_log_refusal(instance) : fmi2OK;
 }
 
@@ -58,25 +48,16 @@ static fmi2Status nothing_of_type(fmi2Component c, flex_call_id call, size_t nvr
   return nvr == 0 ? fmi2OK : flex_log(instance, fmi2Error, LOG_ERROR, "this FMU has no variables of type %s", type);
 }
 
-fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Boolean value[]) {
-  (void)vr, (void)value;
-  return nothing_of_type(c, call_fmi2GetBoolean, nvr, "Boolean");
-}
+#define NOTHING(type)                                                                                                 \
+  fmi2Status fmi2Get##type(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2##type value[]) {          \
+    return (void)vr, (void)value, nothing_of_type(c, call_fmi2Get##type, nvr, #type);                                 \
+  }                                                                                                                   \
+  fmi2Status fmi2Set##type(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2##type value[]) {    \
+    return (void)vr, (void)value, nothing_of_type(c, call_fmi2Set##type, nvr, #type);                                 \
+  }
 
-fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Boolean value[]) {
-  (void)vr, (void)value;
-  return nothing_of_type(c, call_fmi2SetBoolean, nvr, "Boolean");
-}
-
-fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2String value[]) {
-  (void)vr, (void)value;
-  return nothing_of_type(c, call_fmi2GetString, nvr, "String");
-}
-
-fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2String value[]) {
-  (void)vr, (void)value;
-  return nothing_of_type(c, call_fmi2SetString, nvr, "String");
-}
+NOTHING(Boolean)
+NOTHING(String)
 
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer order[],
                                        const fmi2Real value[]) {
@@ -85,27 +66,4 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
   if (flex_lacks(instance, call_fmi2SetRealInputDerivatives, "orders", order, nvr)) return fmi2Error;
   int refused = flex_backend_set_input_derivatives(instance->backend, vr, nvr, order, value);
   return refused ? flex_log_refusal(instance) : fmi2OK;
-}
-
-fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                                        const fmi2Integer order[], fmi2Real value[]) {
-  flex_instance *instance = flex_checked(c, call_fmi2GetRealOutputDerivatives);
-  if (!instance || lacks_arrays(instance, call_fmi2GetRealOutputDerivatives, vr, value, nvr)) return fmi2Error;
-  if (flex_lacks(instance, call_fmi2GetRealOutputDerivatives, "orders", order, nvr)) return fmi2Error;
-  int refused = flex_backend_get_output_derivatives(instance->backend, vr, nvr, order, value);
-  return refused ? flex_log_refusal(instance) : fmi2OK;
-}
-
-fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[], size_t nUnknown,
-                                        const fmi2ValueReference vKnown_ref[], size_t nKnown, const fmi2Real dvKnown[],
-                                        fmi2Real dvUnknown[]) {
-  const flex_call_id call = call_fmi2GetDirectionalDerivative;
-  flex_instance *instance = flex_checked(c, call);
-  if (!instance || flex_lacks(instance, call, "unknown value references", vUnknown_ref, nUnknown) ||
-      flex_lacks(instance, call, "known value references", vKnown_ref, nKnown) ||
-      flex_lacks(instance, call, "changes of the known variables", dvKnown, nKnown) ||
-      flex_lacks(instance, call, "a place for the derivatives", dvUnknown, nUnknown))
-    return fmi2Error;
-  const flex_direction direction = {nKnown, nUnknown, vKnown_ref, vUnknown_ref, dvKnown, dvUnknown};
-  return flex_backend_differentiate(instance->backend, &direction) ? flex_log_refusal(instance) : fmi2OK;
 }

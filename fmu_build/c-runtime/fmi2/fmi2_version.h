@@ -9,9 +9,17 @@
 
 typedef fmi2CallbackFunctions flex_callbacks;
 
+/* arrays come without their numbers of elements; value references tell nothing of what they are */
+#define FLEX_COUNT(name)
+#define FLEX_COUNTED(name, needed) (needed)
+#define FLEX_IS_COMPUTED(reference) 0
+
 /* what would begin a format in a sentence for the logger; whether a sentence is logged whatever the categories */
 #define FLEX_ESCAPED '%'
 #define FLEX_IS_ALWAYS_LOGGED(status) 0
+
+/* categories that are shown whatever the importer asks for: what went wrong */
+#define FLEX_IS_SHOWN(category) ((category) != LOG_STATISTICS)
 
 static inline void flex_hand_over(const flex_callbacks *callbacks, const char *name, fmi2Status status, const char *category,
                                   const char *text) {

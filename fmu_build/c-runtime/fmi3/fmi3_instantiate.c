@@ -1,43 +1,25 @@
-/* Creation and end of an instance, and its modes beyond those of FMI 2.0. */
-#include <string.h>
-
+/* Creation of an instance, and its modes beyond those of FMI 2.0. */
 #include "instance.h"
 
 const char *fmi3GetVersion(void) {
   return fmi3Version;
 }
 
-// instance and backend in one block of memory; what its sizes follow from in others
-static flex_instance *create(void) {
-  flex_arena measure = {NULL, 0};
-  flex_take(&measure, sizeof(flex_instance));
-  char *block = calloc(1, measure.used + flex_backend_size());
-  if (!block) return NULL;
-  flex_instance *instance = (flex_instance *)(void *)block;
-  instance->backend = flex_backend_create(block + measure.used);
-  instance->before = malloc(instance->backend->state_size);
-  size_t asked = FLEX_ASKED * (size_t)instance->backend->n_inputs;
-  instance->scratch = calloc(instance->backend->n_outputs + flex_backend_indicators() + asked + 1, sizeof(double));
-  if (instance->before && instance->scratch) return instance;
-  fmi3FreeInstance(instance);
-  return NULL;
-}
-
-static fmi3Instance instantiate(fmi3String name, flex_kind kind, fmi3String token, int logging, int has_events,
-                                int returns_early, flex_callbacks callbacks) {
-  const char *why_not = flex_obstacle(name, kind, token);
-  flex_instance *instance = why_not ? NULL : create();
-  if (!why_not && !instance) why_not = "out of memory";
-  if (why_not) {
-    flex_hand_over(&callbacks, name, fmi3Error, flex_log_categories[LOG_ERROR], why_not);
+static flex_instance *instantiate(fmi3String name, flex_kind kind, fmi3String token, int logging, int has_events,
+                                  int returns_early, flex_callbacks callbacks) {
+  flex_instance *instance = flex_instantiate(name, kind, token, logging, &callbacks);
+  if (!instance) return NULL;
+  const flex_backend *backend = instance->backend;
+  const size_t numbers = backend->n_outputs + flex_backend_indicators() + FLEX_ASKED * (size_t)backend->n_inputs + 1;
+  instance->scratch = calloc(1, numbers * sizeof(double) + backend->state_size);
+  if (!instance->scratch) {
+    flex_log(instance, fmi3Error, LOG_ERROR, "out of memory");
+    fmi3FreeInstance(instance);
     return NULL;
   }
-  instance->session.kind = kind;
+  instance->before = instance->scratch + numbers;
   instance->session.has_events = has_events;
   instance->session.returns_early = returns_early;
-  instance->callbacks = callbacks;
-  for (int i = 0; i < N_LOG_CATEGORIES; i++) instance->logged[i] = logging;
-  flex_enter_phase(instance, INSTANTIATED);
   return instance;
 }
 
@@ -81,19 +63,8 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String instanceName, fmi3Stri
   return NULL;
 }
 
-void fmi3FreeInstance(fmi3Instance instance) {
-  flex_instance *ours = instance;
-  if (!ours) return;
-  flex_release_states(ours);
-  free(ours->before);
-  free(ours->scratch);
-  free(ours);
-}
-
 fmi3Status fmi3EnterStepMode(fmi3Instance instance) {
-  flex_instance *ours = flex_checked(instance, call_fmi3EnterStepMode);
-  if (ours) flex_enter_phase(ours, STEP_MODE);
-  return ours ? fmi3OK : fmi3Error;
+  return flex_enter_phase(instance, call_fmi3EnterStepMode, STEP_MODE);
 }
 
 fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean toleranceDefined, fmi3Float64 tolerance,
@@ -101,7 +72,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolera
   flex_instance *ours = flex_checked(instance, call_fmi3EnterInitializationMode);
   if (!ours) return fmi3Error;
   fmi3Status status = flex_set_up(ours, toleranceDefined, tolerance, startTime, stopTimeDefined, stopTime);
-  if (status < fmi3Error) flex_enter_phase(ours, INITIALISATION_MODE);
+  if (status < fmi3Error) ours->session.phase = INITIALISATION_MODE;
   return status;
 }
 
@@ -110,6 +81,6 @@ fmi3Status fmi3EnterEventMode(fmi3Instance instance) {
   if (!ours) return fmi3Error;
   if (ours->session.kind == STEPPING && !ours->session.has_events)
     return flex_log(ours, fmi3Error, LOG_ERROR, "this instance was made without event mode (eventModeUsed = false)");
-  flex_enter_phase(ours, EVENT_MODE);
+  ours->session.phase = EVENT_MODE;
   return fmi3OK;
 }

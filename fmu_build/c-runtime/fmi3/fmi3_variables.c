@@ -1,4 +1,4 @@
-/* Values of variables and their derivatives. */
+/* Values of variables, and adjoint derivatives. */
 #include <limits.h>
 #include <string.h>
 
@@ -23,13 +23,6 @@ static size_t plain(const fmi3ValueReference *vr, size_t nvr) {
   size_t count = 0;
   while (count < nvr && FLEX_SORT_OF(vr[count]) == FLEX_REAL) count++;
   return count;
-}
-
-static int has_output(const flex_instance *ours, const fmi3ValueReference *vr, size_t nvr) {
-  unsigned first = ours->backend->n_settable, end = first + ours->backend->n_outputs;
-  for (size_t i = 0; i < nvr; i++)
-    if ((vr[i] >= first && vr[i] < end) || FLEX_SORT_OF(vr[i]) == FLEX_STATES) return 1;
-  return 0;
 }
 
 static fmi3Status unknown(const flex_instance *ours, fmi3ValueReference reference) {
@@ -61,9 +54,9 @@ fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
                           fmi3Float64 values[], size_t nValues) {
   const fmi3ValueReference *vr = valueReferences;
   flex_instance *ours = flex_checked(instance, call_fmi3GetFloat64);
-  if (!ours || lacks_values(ours, call_fmi3GetFloat64, vr, nValueReferences, values, nValues)) return fmi3Error;
-  if (ours->session.phase == INSTANTIATED && has_output(ours, vr, nValueReferences))
-    return flex_log(ours, fmi3Error, LOG_ERROR, "outputs cannot be read before fmi3EnterInitializationMode");
+  if (!ours || lacks_values(ours, call_fmi3GetFloat64, vr, nValueReferences, values, nValues) ||
+      flex_reads_too_early(ours, vr, nValueReferences))
+    return fmi3Error;
   for (size_t i = 0; i < nValueReferences;) {
     size_t count = plain(vr + i, nValueReferences - i);
     if (count && flex_backend_get_reals(ours->backend, vr + i, count, values)) return flex_log_refusal(ours);
@@ -149,38 +142,6 @@ static int set_integer(flex_instance *ours, fmi3ValueReference reference, fmi3In
 INTEGERS(32)
 INTEGERS(64)
 
-fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                    size_t nValueReferences, const fmi3Int32 orders[], fmi3Float64 values[], size_t nValues) {
-  const flex_call_id call = call_fmi3GetOutputDerivatives;
-  flex_instance *ours = flex_checked(instance, call);
-  if (!ours || lacks_values(ours, call, valueReferences, nValueReferences, values, nValues) ||
-      flex_lacks(ours, call, "orders", orders, nValueReferences))
-    return fmi3Error;
-  int refused = flex_backend_get_output_derivatives(ours->backend, valueReferences, nValueReferences, orders, values);
-  return refused ? flex_log_refusal(ours) : fmi3OK;
-}
-
-// 1 after logging it, if an array is missing or has a wrong size
-static int lacks_derivatives(const flex_instance *ours, flex_call_id call, const flex_direction *direction,
-                             const fmi3Float64 *seed, size_t n_seed, size_t seeds, const fmi3Float64 *result, size_t n_result,
-                             size_t results) {
-  return flex_lacks(ours, call, "value references of unknowns", direction->unknown, direction->n_unknown) ||
-         flex_lacks(ours, call, "value references of knowns", direction->known, direction->n_known) ||
-         flex_misfits(ours, call, "seeds", seed, n_seed, seeds) ||
-         flex_misfits(ours, call, "sensitivities", result, n_result, results);
-}
-
-fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[], size_t nUnknowns,
-                                        const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[],
-                                        size_t nSeed, fmi3Float64 sensitivity[], size_t nSensitivity) {
-  const flex_call_id call = call_fmi3GetDirectionalDerivative;
-  const flex_direction direction = {nKnowns, nUnknowns, knowns, unknowns, seed, sensitivity};
-  flex_instance *ours = flex_checked(instance, call);
-  if (!ours || lacks_derivatives(ours, call, &direction, seed, nSeed, nKnowns, sensitivity, nSensitivity, nUnknowns))
-    return fmi3Error;
-  return flex_backend_differentiate(ours->backend, &direction) ? flex_log_refusal(ours) : fmi3OK;
-}
-
 // the transpose of the directional derivatives: one pass for each known variable
 fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[], size_t nUnknowns,
                                     const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[], size_t nSeed,
@@ -189,7 +150,7 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueRefere
   const double one = 1.0;
   flex_instance *ours = flex_checked(instance, call);
   flex_direction column = {nKnowns, nUnknowns, knowns, unknowns, &one, NULL};
-  if (!ours || lacks_derivatives(ours, call, &column, seed, nSeed, nUnknowns, sensitivity, nSensitivity, nKnowns))
+  if (!ours || flex_lacks_derivatives(ours, call, &column, seed, nSeed, nUnknowns, sensitivity, nSensitivity, nKnowns))
     return fmi3Error;
   column.n_known = 1;
   column.result = ours->scratch;

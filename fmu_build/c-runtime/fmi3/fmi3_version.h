@@ -21,12 +21,20 @@ enum { FLEX_REAL, FLEX_INTEGER, FLEX_TIME, FLEX_INDICATOR, FLEX_INPUT_DERIVATIVE
 #define FLEX_SORT_OF(reference) ((reference) >> 28)
 #define FLEX_INDEX_OF(reference) ((reference) & 0x0fffffffu)
 
+/* arrays come with their numbers of elements; what is computed besides outputs */
+#define FLEX_COUNT(name) , size_t name
+#define FLEX_COUNTED(name, needed) (name)
+#define FLEX_IS_COMPUTED(reference) (FLEX_SORT_OF(reference) == FLEX_STATES)
+
 /* instants within a step at which the importer is asked for inputs */
 enum { FLEX_ASKED = 4 };
 
 /* what would begin a value reference in a sentence for the logger; whether a sentence is logged whatever the categories */
 #define FLEX_ESCAPED '#'
 #define FLEX_IS_ALWAYS_LOGGED(status) ((status) >= fmi3Error)
+
+/* categories that are shown whatever the importer asks for */
+#define FLEX_IS_SHOWN(category) 0
 
 static inline void flex_hand_over(const flex_callbacks *callbacks, const char *name, fmi3Status status, const char *category,
                                   const char *text) {
