@@ -53,8 +53,8 @@ _FOLDERS: Mapping[str, tuple[str, ...]] = {
 
 _FMI_FOLDERS: Mapping[tuple[str, FmiVersion], tuple[str, ...]] = {
     ("plant", "2"): ("fmi", "exchange", "fmi2", "fmi2-exchange"),
-    ("block", "2"): ("fmi", "fmi2"),
-    ("trajectory", "2"): ("fmi", "fmi2"),
+    ("block", "2"): ("fmi", "no-exchange", "fmi2"),
+    ("trajectory", "2"): ("fmi", "no-exchange", "fmi2"),
     ("plant", "3"): ("fmi", "exchange", "fmi3"),
     ("block", "3"): ("fmi", "exchange", "no-exchange", "fmi3"),
     ("trajectory", "3"): ("fmi", "exchange", "no-exchange", "fmi3"),

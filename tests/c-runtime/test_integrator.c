@@ -104,7 +104,7 @@ TEST(work_without_end_is_told) {
   CHECK(failure.outcome == FLEX_TOO_MUCH_WORK && failure.time < 1e-3);
   long long evaluations = plant->record->stages.evaluations;
   CHECK_BETWEEN((double)evaluations, 1.0e6, 1.1e6);
-  flex_explain(plant, "integration", &failure);
+  flex_explain(plant, "integration", failure);
   CHECK(strstr(plant->message, "more than 4e+07 times per second of motion") && strstr(plant->message, "larger tolerance"));
   CHECK(flex_plant_advance(plant, failure.time, failure.time + 1e-3).outcome == FLEX_TOO_MUCH_WORK);
   CHECK_BETWEEN((double)(plant->record->stages.evaluations - evaluations), 0.0, 1e5);
@@ -423,7 +423,7 @@ TEST(fixed_steps_that_are_too_long_are_explained) {
     begin_at(plant, start, rest);
     flex_failure failure = flex_plant_advance(plant, 0.0, 10.0);
     CHECK(failure.outcome == FLEX_STEP_TOO_LONG);
-    flex_explain(plant, "integration", &failure);
+    flex_explain(plant, "integration", failure);
     CHECK(strstr(plant->message, "fixed step 0.01 s; make integrator.step smaller, or 0 for error control") != NULL);
     for (int c = 0; c < 3; c++) CHECK(isfinite(plant->integrator.y[c]) && isfinite(plant->integrator.v[c]));
     free_plant(plant);

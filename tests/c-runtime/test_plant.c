@@ -28,7 +28,7 @@ TEST(static_equilibrium_may_be_missing) {
   set_input(plant, 0, 1.5);
   flex_failure failure = flex_plant_begin(plant);
   CHECK(failure.outcome == FLEX_NO_EQUILIBRIUM);
-  flex_explain(plant, "initialisation", &failure);
+  flex_explain(plant, "initialisation", failure);
   CHECK(strstr(plant->message, "initial = 2") != NULL);
 
   // the instance is still usable
@@ -134,7 +134,7 @@ static void check_start(const flex_model *model, flex_outcome outcome, const cha
   flex_plant *plant = make_plant(model, 1e-6);
   flex_failure failure = flex_plant_begin(plant);
   CHECK(failure.outcome == outcome && !plant->record->is_moving);
-  flex_explain(plant, "initialisation", &failure);
+  flex_explain(plant, "initialisation", failure);
   CHECK(strncmp(plant->message, "initialisation: ", 16) == 0 && strstr(plant->message, part) != NULL);
   double value;
   CHECK(flex_get_real(plant, 3, &value) == 1 && strstr(plant->message, part) != NULL);
@@ -187,7 +187,7 @@ TEST(unsolvable_equations_are_given_up) {
   plant->integrator.a[0] = 10.0;
   flex_failure failure = flex_plant_advance(plant, 0.0, 1.0);
   CHECK(failure.outcome == FLEX_NO_CONVERGENCE && failure.time == 0.0);
-  flex_explain(plant, "integration", &failure);
+  flex_explain(plant, "integration", failure);
   CHECK(strstr(plant->message, "cannot be solved") != NULL);
   CHECK(plant->integrator.y[0] == 0.0 && plant->integrator.v[0] == 0.0 && plant->integrator.a[0] == 10.0);
   free_plant(plant);
@@ -205,7 +205,7 @@ TEST(blow_up_is_reported) {
     CHECK(failure.outcome != FLEX_DONE && plant->record->time == failure.time);
     CHECK_CLOSE(failure.time, 1.0, 0.1);
     CHECK(isfinite(plant->integrator.y[0]) && isfinite(plant->integrator.v[0]) && isfinite(plant->integrator.a[0]));
-    flex_explain(plant, "integration", &failure);
+    flex_explain(plant, "integration", failure);
     CHECK(strlen(plant->message) > 40);
     free_plant(plant);
   }

@@ -76,7 +76,7 @@ static fmi3Status call(fmi3Instance one, flex_call_id id, fmi3FMUState *state) {
   for (size_t i = 0; i < 16 * MOST; i++) values[i] = number();
   other[0] = reference(), other[1] = reference();
   for (size_t i = 0; i < count; i++)
-    if (vr[i] >> 28 == FLEX_INPUT_DERIVATIVES) size += (size_t)flex_backend_max_input_order() - 1;
+    if (vr[i] >> 28 == FLEX_INPUT_DERIVATIVES) size += (size_t)((flex_instance *)one)->backend->max_input_order - 1;
   size += draw(32) == 0;
   const fmi3ValueReference *where = draw(64) ? vr : NULL;
   switch (id) {

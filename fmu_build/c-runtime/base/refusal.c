@@ -26,9 +26,9 @@ int flex_refuse_input(char *message, const flex_variable *variable, double time,
                      value, time);
 }
 
-int flex_refuse_reference(char *message, unsigned index, int count) {
-  if (index < (unsigned)count) return 0;
-  return flex_refuse(message, "value reference %u of a real variable is unknown; there are %d", index, count);
+int flex_refuse_reference(char *message, unsigned index, unsigned count) {
+  if (index < count) return 0;
+  return flex_refuse(message, "value reference %u of a real variable is unknown; there are %u", index, count);
 }
 
 int flex_refuse_derivative(char *message, const char *name, int order, int highest, double value) {

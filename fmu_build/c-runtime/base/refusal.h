@@ -16,7 +16,7 @@ int flex_refuse_value(char *message, const flex_variable *variable, double value
 int flex_refuse_input(char *message, const flex_variable *variable, double time, double value);
 
 /* 0 if there are that many real variables */
-int flex_refuse_reference(char *message, unsigned index, int count);
+int flex_refuse_reference(char *message, unsigned index, unsigned count);
 
 /* 0 if the derivative of an input may have that order and value */
 int flex_refuse_derivative(char *message, const char *name, int order, int highest, double value);

@@ -12,10 +12,11 @@ typedef struct flex_backend {
   void *state; /* numeric state without pointers, so that saving and restoring it is a copy */
   size_t state_size;
   const double *time;  /* present time [s], within the state */
-  const char *message; /* why the last call was refused */
+  char *message;       /* why the last call was refused */
   unsigned n_inputs;   /* real variables below this value reference are inputs */
   unsigned n_settable; /* real variables below this value reference are inputs and parameters */
   unsigned n_outputs;  /* so many after them are outputs */
+  int max_input_order; /* highest order of input derivatives, 0 = there are none */
   int (*tick)(struct flex_backend *backend); /* FMI 3.0: its clock ticks; NULL without one. 0, or 1 with a sentence in `message` */
 } flex_backend;
 
@@ -69,14 +70,13 @@ int flex_backend_set_input_derivatives(flex_backend *backend, const unsigned *in
 int flex_backend_get_output_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
                                         double *value);
 
-/* highest order of input derivatives, 0 = there are none; the derivative of an input at the present time, of order 1 and above */
-int flex_backend_max_input_order(void);
-double flex_backend_input_derivative(const flex_backend *backend, unsigned input, int order);
+/* the derivative of an input at the present time, of order 1 and above */
+double flex_backend_input_derivative(flex_backend *backend, unsigned input, int order);
 
 /* directional derivatives */
 int flex_backend_differentiate(flex_backend *backend, const flex_direction *direction);
 
 /* the work done since initialisation, a sentence for the log */
-void flex_backend_summarise(const flex_backend *backend, char *text, size_t size);
+void flex_backend_summarise(flex_backend *backend, char *text, size_t size);
 
 #endif

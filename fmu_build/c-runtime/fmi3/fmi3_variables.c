@@ -4,9 +4,10 @@
 
 #include "instance.h"
 
-static size_t size_of(fmi3ValueReference reference) {
+static size_t size_of(const flex_instance *ours, fmi3ValueReference reference) {
   unsigned sort = FLEX_SORT_OF(reference);
-  return sort == FLEX_INPUT_DERIVATIVES ? (size_t)flex_backend_max_input_order() : sort == FLEX_STATES ? flex_backend_states() : 1;
+  if (sort == FLEX_INPUT_DERIVATIVES) return (size_t)ours->backend->max_input_order;
+  return sort == FLEX_STATES ? flex_backend_states() : 1;
 }
 
 // 1 after logging it, if value references or values are missing, or their numbers don't fit
@@ -14,7 +15,7 @@ static int lacks_values(const flex_instance *ours, flex_call_id call, const fmi3
                         const void *values, size_t n_values) {
   if (flex_lacks(ours, call, "value references", vr, nvr)) return 1;
   size_t needed = 0;
-  for (size_t i = 0; i < nvr; i++) needed += size_of(vr[i]);
+  for (size_t i = 0; i < nvr; i++) needed += size_of(ours, vr[i]);
   return flex_misfits(ours, call, "values", values, n_values, needed);
 }
 
@@ -39,7 +40,7 @@ static fmi3Status get_other(flex_instance *ours, fmi3ValueReference reference, f
     if (flex_backend_get_indicators(backend, ours->scratch)) return flex_log_refusal(ours);
     *values = ours->scratch[index];
   } else if (sort == FLEX_INPUT_DERIVATIVES && index < backend->n_inputs) {
-    for (int order = flex_backend_max_input_order(); order > 0; order--)
+    for (int order = backend->max_input_order; order > 0; order--)
       values[order - 1] = flex_backend_input_derivative(backend, index, order);
   } else if (sort == FLEX_STATES && index < 2 && flex_backend_states() > 0) {
     int refused = index ? flex_backend_get_state_rates(backend, values) : flex_backend_get_states(backend, values);
@@ -61,7 +62,7 @@ fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
     size_t count = plain(vr + i, nValueReferences - i);
     if (count && flex_backend_get_reals(ours->backend, vr + i, count, values)) return flex_log_refusal(ours);
     if (!count && get_other(ours, vr[i], values) != fmi3OK) return fmi3Error;
-    values += count ? count : size_of(vr[i]);
+    values += count ? count : size_of(ours, vr[i]);
     i += count ? count : 1;
   }
   return fmi3OK;
@@ -73,7 +74,7 @@ static fmi3Status set_derivatives(flex_instance *ours, fmi3ValueReference refere
   if (FLEX_SORT_OF(reference) != FLEX_INPUT_DERIVATIVES || input >= ours->backend->n_inputs)
     return flex_log(ours, fmi3Error, LOG_ERROR, "value reference %u is neither an input nor a parameter, it cannot be set",
                     reference);
-  for (int order = 1; order <= flex_backend_max_input_order(); order++) {
+  for (int order = 1; order <= ours->backend->max_input_order; order++) {
     double value = values[order - 1];
     if (value == 0.0 && flex_backend_input_derivative(ours->backend, input, order) == 0.0) continue;
     if (flex_backend_set_input_derivatives(ours->backend, &input, 1, &order, &value)) return flex_log_refusal(ours);
@@ -90,7 +91,7 @@ fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
   for (size_t i = 0; i < nValueReferences; i++)
     if (inputs_only && (asks || FLEX_SORT_OF(vr[i]) != FLEX_INPUT_DERIVATIVES) && vr[i] >= ours->backend->n_inputs)
       return flex_log(ours, fmi3Error, LOG_ERROR, "value reference %u is no input, it cannot be set in this mode", vr[i]);
-  for (size_t i = 0; i < nValueReferences; values += size_of(vr[i]), i++) {
+  for (size_t i = 0; i < nValueReferences; values += size_of(ours, vr[i]), i++) {
     if (asks) {
       ours->asked[vr[i]] = *values;
     } else if (FLEX_SORT_OF(vr[i]) != FLEX_REAL) {

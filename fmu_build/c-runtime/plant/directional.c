@@ -36,7 +36,7 @@ static double *place_of(flex_plant *plant, unsigned index) {
   unsigned m = (unsigned)model->n_inputs, settable = m + (unsigned)model->n_parameters;
   if (index < m) return plant->tangent.u + index;
   if (index < settable) return plant->tangent.p + (index - m);
-  if (flex_refuse_reference(plant->message, index, (int)settable + model->n_outputs)) return NULL;
+  if (flex_refuse_reference(plant->message, index, settable + (unsigned)model->n_outputs)) return NULL;
   return place_of_state(plant, index - settable);
 }
 
@@ -144,15 +144,13 @@ static flex_failure follow(flex_plant *plant) {
 int flex_differentiate(flex_plant *plant, const flex_direction *direction) {
   unsigned first = (unsigned)(plant->model->n_inputs + plant->model->n_parameters);
   if (gather(plant, direction)) return 1;
-  flex_failure failure = follow(plant);
-  if (failure.outcome != FLEX_DONE) flex_explain(plant, "differentiation", &failure);
-  if (failure.outcome != FLEX_DONE) return 1;
+  if (flex_explain(plant, "differentiation", follow(plant))) return 1;
 
   // changes of the outputs that were asked for
   const double *changed_outputs = plant->tangent.changes + plant->model->n;
   for (size_t i = 0; i < direction->n_unknown; i++) {
     unsigned index = direction->unknown[i];
-    if (flex_refuse_reference(plant->message, index, (int)first + plant->model->n_outputs)) return 1;
+    if (flex_refuse_reference(plant->message, index, first + (unsigned)plant->model->n_outputs)) return 1;
     if (index < first) return refuse(plant, "value reference %u is no output, it has no directional derivative", index);
     double change = changed_outputs[index - first];
     if (!isfinite(change))

@@ -1,12 +1,12 @@
-/* A plant behind the FMI layer. */
+/* A plant behind the FMI layer; for model exchange as a system dx/dt = f(t, x, u), x = [y, v] without those that are no states. */
 #include <math.h>
 #include <stdio.h>
+#include <string.h>
 
 #include "backend.h"
 #include "directional.h"
 #include "events.h"
 #include "model_exchange.h"
-#include "state_space.h"
 #include "variables.h"
 
 /* smallest relative tolerance: below it ROUNDING_ERROR of the integrator decides about the steps of every method */
@@ -17,8 +17,8 @@ typedef struct {
   flex_plant *plant;
 } plant_backend;
 
-static flex_plant *plant_of(const flex_backend *backend) {
-  return ((const plant_backend *)backend)->plant;
+static flex_plant *plant_of(flex_backend *backend) {
+  return ((plant_backend *)backend)->plant;
 }
 
 const char *flex_backend_guid(void) {
@@ -47,6 +47,7 @@ flex_backend *flex_backend_create(void *memory) {
   whole->base.n_inputs = (unsigned)flex_the_model.n_inputs;
   whole->base.n_settable = (unsigned)(flex_the_model.n_inputs + flex_the_model.n_parameters);
   whole->base.n_outputs = (unsigned)flex_the_model.n_outputs;
+  whole->base.max_input_order = flex_the_model.max_input_order;
   return &whole->base;
 }
 
@@ -66,20 +67,14 @@ double flex_backend_set_tolerance(flex_backend *backend, double tolerance) {
   return plant_of(backend)->record->tolerance = tolerance < LEAST_TOLERANCE ? LEAST_TOLERANCE : tolerance;
 }
 
-static int explained(flex_backend *backend, const char *what, flex_failure failure) {
-  if (failure.outcome == FLEX_DONE) return 0;
-  flex_explain(plant_of(backend), what, &failure);
-  return 1;
-}
-
 int flex_backend_begin(flex_backend *backend) {
-  return explained(backend, "initialisation", flex_plant_begin(plant_of(backend)));
+  return flex_explain(plant_of(backend), "initialisation", flex_plant_begin(plant_of(backend)));
 }
 
 int flex_backend_advance(flex_backend *backend, double t0, double t1, int *event) {
   flex_plant *plant = plant_of(backend);
   plant->integrator.stops_at_events = event != NULL;
-  int is_refused = explained(backend, "integration", flex_plant_advance(plant, t0, t1));
+  int is_refused = flex_explain(plant, "integration", flex_plant_advance(plant, t0, t1));
   if (event) *event = plant->record->integrator.at_event;
   return is_refused;
 }
@@ -127,11 +122,7 @@ int flex_backend_set_input_derivatives(flex_backend *backend, const unsigned *in
   return 0;
 }
 
-int flex_backend_max_input_order(void) {
-  return flex_the_model.max_input_order;
-}
-
-double flex_backend_input_derivative(const flex_backend *backend, unsigned input, int order) {
+double flex_backend_input_derivative(flex_backend *backend, unsigned input, int order) {
   const flex_plant *plant = plant_of(backend);
   return flex_inputs_derivative(&plant->inputs, (int)input, plant->record->time, order);
 }
@@ -161,20 +152,51 @@ size_t flex_backend_states(void) {
   return (size_t)(flex_state_coordinates(&flex_the_model) + flex_state_rates(&flex_the_model));
 }
 
+// bytes of the states that are coordinates, and of those that are rates, which follow them
+static size_t coordinate_size(void) {
+  return (size_t)flex_state_coordinates(&flex_the_model) * sizeof(double);
+}
+
+static size_t rate_size(void) {
+  return (size_t)flex_state_rates(&flex_the_model) * sizeof(double);
+}
+
 void flex_backend_set_time(flex_backend *backend, double time) {
-  flex_state_space_set_time(plant_of(backend), time);
+  flex_plant *plant = plant_of(backend);
+  plant->record->time = time;
+  if (!plant->model->has_clock) return;
+  flex_plant_set_clock(plant);
+  flex_plant_moved(plant);
 }
 
 void flex_backend_set_states(flex_backend *backend, const double *x) {
-  flex_state_space_set(plant_of(backend), x);
+  flex_plant *plant = plant_of(backend);
+  flex_integrator *integrator = &plant->integrator;
+  size_t size = (size_t)plant->model->n * sizeof(double);
+  memcpy(integrator->y, x, coordinate_size());
+  memcpy(integrator->v, x + flex_state_coordinates(plant->model), rate_size());
+  memset(integrator->y_rest, 0, size);
+  memset(integrator->v_rest, 0, size);
+
+  // the acceleration shall not depend on what was evaluated before, not even by its last digit
+  memset(integrator->a, 0, size);
+  flex_plant_moved(plant);
 }
 
 int flex_backend_get_states(flex_backend *backend, double *x) {
-  return explained(backend, "computing the states", flex_state_space_get(plant_of(backend), x));
+  flex_plant *plant = plant_of(backend);
+  if (flex_explain(plant, "computing the states", flex_plant_need_start(plant))) return 1;
+  memcpy(x, plant->integrator.y, coordinate_size());
+  memcpy(x + flex_state_coordinates(plant->model), plant->integrator.v, rate_size());
+  return 0;
 }
 
 int flex_backend_get_state_rates(flex_backend *backend, double *rates) {
-  return explained(backend, "computing state derivatives", flex_state_space_rates(plant_of(backend), rates));
+  flex_plant *plant = plant_of(backend);
+  if (flex_explain(plant, "computing state derivatives", flex_plant_need_admissible(plant))) return 1;
+  memcpy(rates, plant->integrator.v, coordinate_size());
+  memcpy(rates + flex_state_coordinates(plant->model), plant->integrator.a, rate_size());
+  return 0;
 }
 
 size_t flex_backend_indicators(void) {
@@ -182,7 +204,7 @@ size_t flex_backend_indicators(void) {
 }
 
 int flex_backend_get_indicators(flex_backend *backend, double *indicators) {
-  return explained(backend, "computing event indicators", flex_plant_indicators(plant_of(backend), indicators));
+  return flex_explain(plant_of(backend), "computing event indicators", flex_plant_indicators(plant_of(backend), indicators));
 }
 
 int flex_backend_handle_event(flex_backend *backend, int is_exchange, int *states_changed, double *next) {
@@ -193,7 +215,7 @@ int flex_backend_handle_event(flex_backend *backend, int is_exchange, int *state
   flex_failure failure = flex_plant_settle(plant, is_exchange, states_changed);
   if (failure.outcome == FLEX_DONE && is_exchange)
     *next = flex_events_next(&plant->integrator, plant->u, plant->record->time);
-  return explained(backend, "event", failure);
+  return flex_explain(plant, "event", failure);
 }
 
 int flex_backend_has_event(flex_backend *backend) {
@@ -205,10 +227,10 @@ double flex_backend_state_nominal(size_t index) {
 }
 
 int flex_backend_check_point(flex_backend *backend) {
-  return explained(backend, "end of an integrator step", flex_plant_need_admissible(plant_of(backend)));
+  return flex_explain(plant_of(backend), "end of an integrator step", flex_plant_need_admissible(plant_of(backend)));
 }
 
-void flex_backend_summarise(const flex_backend *backend, char *text, size_t size) {
+void flex_backend_summarise(flex_backend *backend, char *text, size_t size) {
   const flex_plant_record *record = plant_of(backend)->record;
   snprintf(text, size,
            "%lld steps, %lld rejected, %lld evaluations of the equations, %lld Newton iterations, %lld factorisations",

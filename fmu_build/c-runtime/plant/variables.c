@@ -47,11 +47,11 @@ static int add_largest_input(flex_plant *plant, double t) {
   return 1;
 }
 
-void flex_explain(flex_plant *plant, const char *what, const flex_failure *failure) {
+int flex_explain(flex_plant *plant, const char *what, flex_failure failure) {
   const flex_model *model = plant->model;
-  double t = failure->time, value = failure->value;
-  switch (failure->outcome) {
-    case FLEX_DONE: plant->message[0] = '\0'; break;
+  double t = failure.time, value = failure.value;
+  switch (failure.outcome) {
+    case FLEX_DONE: return 0;
     case FLEX_INACCURATE:
       refuse(plant,
              "%s: at %.9g s no step size meets the relative tolerance %.3g, the error stays at %.3g; loosen the tolerance",
@@ -118,12 +118,6 @@ void flex_explain(flex_plant *plant, const char *what, const flex_failure *failu
              what, t, value);
       break;
   }
-}
-
-// a failure of something that was evaluated to answer a question
-static int failed(flex_plant *plant, const char *what, flex_failure failure) {
-  if (failure.outcome == FLEX_DONE) return 0;
-  flex_explain(plant, what, &failure);
   return 1;
 }
 
@@ -136,7 +130,7 @@ static unsigned fixed_step_index(const flex_plant *plant) {
 }
 
 static int is_known(flex_plant *plant, unsigned index) {
-  return !flex_refuse_reference(plant->message, index, (int)fixed_step_index(plant) + 1);
+  return !flex_refuse_reference(plant->message, index, fixed_step_index(plant) + 1);
 }
 
 int flex_get_real(flex_plant *plant, unsigned index, double *value) {
@@ -144,7 +138,7 @@ int flex_get_real(flex_plant *plant, unsigned index, double *value) {
   unsigned m = (unsigned)model->n_inputs, p = (unsigned)model->n_parameters;
   if (!is_known(plant, index)) return 1;
   if (index < m) {
-    if (failed(plant, "reading inputs", flex_plant_need_inputs(plant))) return 1;
+    if (flex_explain(plant, "reading inputs", flex_plant_need_inputs(plant))) return 1;
     double shown = plant->shown_u[index];
     if (flex_refuse_input(plant->message, &model->input_variables[index], plant->record->time, shown)) return 1;
     *value = shown;
@@ -153,7 +147,7 @@ int flex_get_real(flex_plant *plant, unsigned index, double *value) {
   } else if (index == fixed_step_index(plant)) {
     *value = plant->record->fixed_step;
   } else {
-    if (failed(plant, "computing outputs", flex_plant_need_outputs(plant))) return 1;
+    if (flex_explain(plant, "computing outputs", flex_plant_need_outputs(plant))) return 1;
     *value = plant->outputs[index - m - p];
   }
   return 0;
@@ -255,7 +249,7 @@ int flex_get_output_derivative(flex_plant *plant, unsigned index, int order, dou
     return refuse(plant, "value reference %u is no output, it has no derivatives", index);
   if (order < 1 || order > 2)
     return refuse(plant, "derivatives of %s are of order 1 or 2, got order %d", model->output_variables[output].name, order);
-  if (failed(plant, "computing output derivatives", flex_plant_need_rates(plant, order))) return 1;
+  if (flex_explain(plant, "computing output derivatives", flex_plant_need_rates(plant, order))) return 1;
   *value = (order == 1 ? plant->first_rates : plant->second_rates)[output];
   return 0;
 }

@@ -42,7 +42,7 @@ static inline unsigned flex_first_output(const flex_model *model) {
 /* which output has an index, or a number beyond all outputs */
 static inline unsigned flex_output_of(const flex_model *model, unsigned index) { return index - flex_first_output(model); }
 
-/* the sentence for a failure; `what` begins it */
-void flex_explain(flex_plant *plant, const char *what, const flex_failure *failure);
+/* 0 if nothing has failed, else 1 with the sentence for the failure; `what` begins it */
+int flex_explain(flex_plant *plant, const char *what, flex_failure failure);
 
 #endif

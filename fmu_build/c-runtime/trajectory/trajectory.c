@@ -1,7 +1,17 @@
-#include "trajectory.h"
-
+/* A trajectory behind the FMI layer, evaluated on demand, at breakpoints the limit that is asked for; reals are the outputs: positions of
+ * all axes, velocities, accelerations. */
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
+
+#include "backend.h"
+#include "clock.h"
+#include "memory.h"
+#include "refusal.h"
+#include "trajectory_model.h"
+
+/* which limit is shown where the trajectory jumps */
+typedef enum { FLEX_LEFT = 1, FLEX_RIGHT = 2 } flex_limit;
 
 enum { ENDS = FLEX_END_ORDER + 1, TERMS = 2 * ENDS };
 
@@ -16,11 +26,11 @@ static const double end_matrix[ENDS][ENDS] = {
 };
 
 // number of knots before a time, those at the time itself included on request
-static int count_knots(const flex_trajectory_model *model, double time, int included) {
-  int low = 0, high = model->n_knots;
+static int count_knots(double time, int included) {
+  int low = 0, high = flex_the_trajectory.n_knots;
   while (low < high) {
     int middle = low + (high - low) / 2;
-    int is_before = included ? model->times[middle] <= time : model->times[middle] < time;
+    int is_before = included ? flex_the_trajectory.times[middle] <= time : flex_the_trajectory.times[middle] < time;
     if (is_before)
       low = middle + 1;
     else
@@ -29,26 +39,29 @@ static int count_knots(const flex_trajectory_model *model, double time, int incl
   return low;
 }
 
-static int is_breakpoint(const flex_trajectory_model *model, int knot) {
-  const double *t = model->times;
-  if (knot == 0 || knot == model->n_knots - 1) return 1;
+static int is_breakpoint(int knot) {
+  const double *t = flex_the_trajectory.times;
+  if (knot == 0 || knot == flex_the_trajectory.n_knots - 1) return 1;
   return t[knot] == t[knot - 1] || t[knot] == t[knot + 1];
 }
 
-double flex_trajectory_landing(const flex_trajectory_model *model, double time, double slack, flex_limit limit) {
-  double landing = time;
+// where breakpoints are within `slack` of a time, the first of them from the left, the last of them from the right; else the time
+// itself
+static double landing(double time, double slack, flex_limit limit) {
+  double found_time = time;
   int found = 0;
-  for (int i = count_knots(model, time - slack, 0); i < model->n_knots && model->times[i] <= time + slack; i++) {
-    if (!is_breakpoint(model, i) || (found && limit == FLEX_LEFT)) continue;
-    landing = model->times[i];
+  for (int i = count_knots(time - slack, 0); i < flex_the_trajectory.n_knots && flex_the_trajectory.times[i] <= time + slack; i++) {
+    if (!is_breakpoint(i) || (found && limit == FLEX_LEFT)) continue;
+    found_time = flex_the_trajectory.times[i];
     found = 1;
   }
-  return landing;
+  return found_time;
 }
 
-double flex_trajectory_next(const flex_trajectory_model *model, double time) {
-  for (int i = count_knots(model, time, 1); i < model->n_knots; i++)
-    if (is_breakpoint(model, i)) return model->times[i];
+// the first breakpoint after a time, HUGE_VAL behind the last
+static double next_breakpoint(double time) {
+  for (int i = count_knots(time, 1); i < flex_the_trajectory.n_knots; i++)
+    if (is_breakpoint(i)) return flex_the_trajectory.times[i];
   return HUGE_VAL;
 }
 
@@ -110,22 +123,205 @@ static void complete(int n_axes, double *signals) {
   }
 }
 
-void flex_trajectory_evaluate(const flex_trajectory_model *model, double time, flex_limit limit, double *signals) {
-  int axes = model->n_axes, n = FLEX_KINDS * axes, size = FLEX_KNOT_ORDERS * axes;
-  int next = count_knots(model, time, limit == FLEX_RIGHT);
+// outputs and their derivatives up to FLEX_END_ORDER at a time: (FLEX_END_ORDER + 1) x FLEX_KINDS x n_axes
+static void evaluate(double time, flex_limit limit, double *signals) {
+  int axes = flex_the_trajectory.n_axes, n = FLEX_KINDS * axes, size = FLEX_KNOT_ORDERS * axes;
+  int next = count_knots(time, limit == FLEX_RIGHT);
   memset(signals, 0, (size_t)(ENDS * n) * sizeof *signals);
 
   // standstill at the start or at the end
-  if (next == 0 || next == model->n_knots) {
-    const double *still = next == 0 ? model->jets : model->jets + (model->n_knots - 1) * size;
+  if (next == 0 || next == flex_the_trajectory.n_knots) {
+    const double *still = next == 0 ? flex_the_trajectory.jets : flex_the_trajectory.jets + (flex_the_trajectory.n_knots - 1) * size;
     memcpy(signals, still, (size_t)axes * sizeof *signals);
     return;
   }
 
   // between two knots
-  const double *left = model->jets + (next - 1) * size, *right = left + size;
-  double begin = model->times[next - 1], end = model->times[next];
+  const double *left = flex_the_trajectory.jets + (next - 1) * size, *right = left + size;
+  double begin = flex_the_trajectory.times[next - 1], end = flex_the_trajectory.times[next];
   for (int i = 0; i < n; i++)
     interpolate(left + i, right + i, axes, end - begin, time - begin, end - time, signals + i, n);
   complete(axes, signals);
+}
+
+/* integers: the limit that is shown at breakpoints */
+enum { FLEX_LIMIT, FLEX_N_INTEGERS };
+
+/* the numeric state: all else follows from it */
+typedef struct {
+  double time;        /* [s] */
+  double left, right; /* where the limits are taken: the time, or breakpoints that are the same instant */
+  int limit;
+  int passed; /* 1 = event mode has passed the present instant: right limits are shown */
+} trajectory_record;
+
+typedef struct {
+  flex_backend base;
+  trajectory_record *record;
+  double *signals;          /* outputs and their derivatives, by rows */
+  trajectory_record *shown; /* what they have been evaluated for */
+  int is_evaluated;
+  char message[FLEX_MESSAGE_SIZE];
+} trajectory_backend;
+
+static trajectory_backend *whole(flex_backend *backend) {
+  return (trajectory_backend *)backend;
+}
+
+static int n_outputs(void) {
+  return FLEX_KINDS * flex_the_trajectory.n_axes;
+}
+
+static trajectory_backend *take(flex_arena *arena) {
+  trajectory_backend *backend = flex_take(arena, sizeof *backend);
+  trajectory_record *record = flex_take(arena, sizeof *record), *shown = flex_take(arena, sizeof *shown);
+  double *signals = flex_take_doubles(arena, (size_t)((FLEX_END_ORDER + 1) * n_outputs()));
+  if (!arena->block) return NULL;
+  backend->record = record;
+  backend->shown = shown;
+  backend->signals = signals;
+  return backend;
+}
+
+const char *flex_backend_guid(void) {
+  return flex_the_trajectory.guid;
+}
+
+size_t flex_backend_size(void) {
+  flex_arena arena = {NULL, 0};
+  take(&arena);
+  return arena.used;
+}
+
+flex_backend *flex_backend_create(void *memory) {
+  flex_arena arena = {memory, 0};
+  trajectory_backend *backend = take(&arena);
+  backend->base.state = backend->record;
+  backend->base.state_size = sizeof *backend->record;
+  backend->base.time = &backend->record->time;
+  backend->base.message = backend->message;
+  backend->base.n_outputs = (unsigned)(FLEX_KINDS * flex_the_trajectory.n_axes);
+  flex_backend_reset(&backend->base);
+  return &backend->base;
+}
+
+// to another instant; communication points and breakpoints within `slack` are one
+static void go_to(trajectory_backend *backend, double time, double slack) {
+  trajectory_record *record = backend->record;
+  record->time = time;
+  record->left = landing(time, slack, FLEX_LEFT);
+  record->right = landing(time, slack, FLEX_RIGHT);
+}
+
+void flex_backend_reset(flex_backend *backend) {
+  whole(backend)->record->limit = FLEX_LEFT;
+  whole(backend)->record->passed = 0;
+  go_to(whole(backend), 0.0, 0.0);
+}
+
+void flex_backend_set_start_time(flex_backend *backend, double time) {
+  go_to(whole(backend), time, flex_time_slack(time, 0.0));
+}
+
+int flex_backend_begin(flex_backend *backend) {
+  (void)backend;
+  return 0;
+}
+
+int flex_backend_advance(flex_backend *backend, double t0, double t1, int *event) {
+  double slack = flex_time_slack(t1, t1 - t0), next = next_breakpoint(t0 + slack);
+  if (event) *event = next <= t1 + slack;
+  whole(backend)->record->passed = 0;
+  go_to(whole(backend), event && next < t1 - slack ? next : t1, slack);
+  return 0;
+}
+
+int flex_backend_handle_event(flex_backend *backend, int is_exchange, int *states_changed, double *next) {
+  (void)is_exchange, (void)states_changed;
+  whole(backend)->record->passed = 1;
+  *next = next_breakpoint(*backend->time + flex_time_slack(*backend->time, 0.0));
+  return 0;
+}
+
+// an output or one of its derivatives, evaluated together with all others
+static double signal(trajectory_backend *backend, int order, unsigned index) {
+  const trajectory_record *record = backend->record, *shown = backend->shown;
+  flex_limit limit = record->passed ? FLEX_RIGHT : (flex_limit)record->limit;
+  double time = limit == FLEX_LEFT ? record->left : record->right;
+  double shown_time = shown->limit == FLEX_LEFT ? shown->left : shown->right;
+  if (!backend->is_evaluated || shown->limit != (int)limit || shown_time != time) {
+    evaluate(time, limit, backend->signals);
+    *backend->shown = *record;
+    backend->shown->limit = (int)limit;
+    backend->is_evaluated = 1;
+  }
+  return backend->signals[(unsigned)(order * n_outputs()) + index];
+}
+
+int flex_backend_get_reals(flex_backend *backend, const unsigned *index, size_t count, double *value) {
+  for (size_t i = 0; i < count; i++) {
+    if (flex_refuse_reference(backend->message, index[i], backend->n_outputs)) return 1;
+    value[i] = signal(whole(backend), 0, index[i]);
+  }
+  return 0;
+}
+
+int flex_backend_set_real(flex_backend *backend, unsigned index, double value) {
+  (void)value;
+  char *message = backend->message;
+  if (flex_refuse_reference(message, index, backend->n_outputs)) return 1;
+  return flex_refuse(message, "%s is an output, it cannot be set", flex_the_trajectory.output_variables[index].name);
+}
+
+// there is one integer variable
+static int refuse_integer(flex_backend *backend, unsigned index) {
+  if (index == FLEX_LIMIT) return 0;
+  return flex_refuse(whole(backend)->message, "value reference %u of an integer variable is unknown; there are %d", index,
+                     FLEX_N_INTEGERS);
+}
+
+int flex_backend_get_integer(flex_backend *backend, unsigned index, int *value) {
+  if (refuse_integer(backend, index)) return 1;
+  *value = whole(backend)->record->limit;
+  return 0;
+}
+
+int flex_backend_set_integer(flex_backend *backend, unsigned index, int value) {
+  if (refuse_integer(backend, index)) return 1;
+  if (value != FLEX_LEFT && value != FLEX_RIGHT)
+    return flex_refuse(whole(backend)->message, "limit must be 1 (left) or 2 (right), got %d", value);
+  whole(backend)->record->limit = value;
+  return 0;
+}
+
+int flex_backend_set_input_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
+                                       const double *value) {
+  (void)order, (void)value;
+  if (count == 0) return 0;
+  return flex_refuse(whole(backend)->message, "value reference %u is no input, its derivatives cannot be set", *index);
+}
+
+static int get_output_derivative(flex_backend *backend, unsigned index, int order, double *value) {
+  char *message = backend->message;
+  if (flex_refuse_reference(message, index, backend->n_outputs)) return 1;
+  if (order < 1 || order > FLEX_END_ORDER)
+    return flex_refuse(message, "derivatives of %s are of order 1 to %d, got order %d",
+                       flex_the_trajectory.output_variables[index].name, FLEX_END_ORDER, order);
+  *value = signal(whole(backend), order, index);
+  return 0;
+}
+
+double flex_backend_input_derivative(flex_backend *backend, unsigned input, int order) {
+  return (void)backend, (void)input, (void)order, 0.0;
+}
+
+int flex_backend_get_output_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
+                                        double *value) {
+  for (size_t i = 0; i < count; i++)
+    if (get_output_derivative(backend, index[i], order[i], &value[i])) return 1;
+  return 0;
+}
+
+void flex_backend_summarise(flex_backend *backend, char *text, size_t size) {
+  snprintf(text, size, "the trajectory was followed up to %.9g s", *backend->time);
 }
