@@ -4,7 +4,6 @@
 #include "check.h"
 #include "inputs.h"
 #include "linear_algebra.h"
-#include "explicit_tableaus.h"
 #include "tableaus.h"
 #include "tests.h"
 

@@ -2,7 +2,6 @@
 #ifndef FLEXFMU_METHODS_H
 #define FLEXFMU_METHODS_H
 
-#include "explicit_tableaus.h"
 #include "outcome.h"
 #include "tableaus.h"
 

@@ -1,4 +1,4 @@
-/* Collocation methods as data: nodes c, weights b and the matrix A.
+/* Collocation methods and explicit Runge-Kutta methods as data: nodes c, weights b and the matrix A.
  *
  * A Gauss method of s stages has order 2 s, is A-stable and symplectic: it damps nothing. Radau IIA has order 2 s - 1 and
  * is L-stable: it damps what it doesn't resolve. For equations of second order the stage positions need A*A and the end
@@ -18,6 +18,7 @@
 #define FLEX_MAX_STAGES 4
 #define FLEX_MAX_BLOCKS 2
 #define FLEX_DENSE_NODES 4
+#define FLEX_MAX_EXPLICIT_STAGES 7
 
 /* a real eigenvalue of A, or one of a complex pair; imaginary parts are zero for a real one */
 typedef struct {
@@ -46,6 +47,17 @@ static inline int flex_ends_in_stage(const flex_tableau *tableau) {
   return tableau->c[tableau->stages - 1] == 1.0;
 }
 
+typedef struct {
+  int stages, order;
+  int is_embedded; /* 1 = b_error estimates the error; 0 = two steps of half the size do */
+  int ends_last;   /* 1 = the last stage is the end of the step, and so the first of the next one */
+  double c[FLEX_MAX_EXPLICIT_STAGES];
+  double b[FLEX_MAX_EXPLICIT_STAGES];
+  double b_error[FLEX_MAX_EXPLICIT_STAGES]; /* b minus the weights of the embedded method */
+  double a[FLEX_MAX_EXPLICIT_STAGES][FLEX_MAX_EXPLICIT_STAGES];
+} flex_explicit_tableau;
+
+FLEX_PRIVATE const flex_explicit_tableau flex_dormand_prince, flex_runge_kutta_4;
 FLEX_PRIVATE const flex_tableau flex_gauss_2, flex_gauss_3, flex_gauss_4, flex_radau_3;
 
 #endif
