@@ -9,18 +9,16 @@ Hermite's interpolation formula, Amer. Math. Monthly 67, 1960).
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from ctypes import POINTER, Structure, c_size_t, c_void_p
+from collections.abc import Mapping
 from functools import cache
 from math import comb, factorial
-from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
 from flexfmu.cosim.engine.fmu.calls import address
 from flexfmu.cosim.engine.results import Column, LazyColumns, Recording, SignalTable
-from flexfmu.cosim.engine.shared_library import shared_library
+from flexfmu.cosim.engine.shared_library import c_structures, shared_library
 from flexfmu.cosim.engine.slave import COINCIDENT, Indices, RealArray
 
 KNOWN = 3
@@ -32,22 +30,6 @@ POINTS = 4
 
 Signal = tuple[int, int, int, int, int]
 """Where a signal is in a table, and what is interpolated; see `DenseOutput.of`."""
-
-
-class CDense(Structure):
-    """``master_dense``."""
-
-    _fields_ = (("count", c_size_t), ("begins", c_void_p), ("points", c_void_p), ("weights", c_void_p))
-
-
-@cache
-def load_interpolation() -> Callable[..., None]:
-    """``master_interpolate``; a `BuildError` if it can't be compiled or loaded, for example without a C compiler."""
-    function: Any = shared_library("master").master_interpolate
-    function.argtypes = (POINTER(CDense), c_void_p, c_size_t, c_void_p, c_size_t, c_size_t, c_void_p)
-    function.restype = None
-    interpolate: Callable[..., None] = function
-    return interpolate
 
 
 def hermite_weights(nodes: RealArray, time: RealArray, order: int) -> RealArray:
@@ -132,7 +114,9 @@ class DenseOutput:
             columns = own - begin[:, None]
             self._weights[:, rest[of][:, None, None], np.arange(KNOWN)[:, None], columns[:, None]] = weights
         self._signals: tuple[Mapping[str, tuple[str, range]], Mapping[str, Signal]] | None = None
-        self._in_c = CDense(self.time.size, *map(address, (self._begins, self._points, self._weights)))
+        self._in_c = c_structures("master")["master_dense"](
+            self.time.size, *map(address, (self._begins, self._points, self._weights))
+        )
 
     def of(self, rows: RealArray, signals: Indices, orders: int) -> RealArray:
         """Return derivatives of signals at all instants, (S, orders, M).
@@ -149,7 +133,9 @@ class DenseOutput:
             rows = np.pad(rows, ((0, 0), (0, POINTS - rows.shape[1])))
         signals, distance = np.ascontiguousarray(signals, np.int64), rows.strides[0] // rows.itemsize
         start = int(rows.ctypes.data)  # contiguous rows, at this distance
-        load_interpolation()(self._in_c, start, distance, address(signals), len(signals), orders, address(found))
+        shared_library("master").master_interpolate(
+            self._in_c, start, distance, address(signals), len(signals), orders, address(found)
+        )
         return found
 
     def signals_in(self, table: SignalTable) -> Mapping[str, Signal]:

@@ -5,10 +5,14 @@ A library that is in the cache needs no compiler, like an FMU that is there; a s
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from ctypes import CDLL
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
+from flexfmu.fmu_build.c_header import structures, typed
 from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import BuildError
@@ -18,14 +22,32 @@ LIBRARIES = {"master": "flexfmu.cosim.engine.master", "metrics": "flexfmu.cosim.
 """Package of each library; its C files are in the folder ``c-<name>`` there."""
 
 
-def shared_library(name: str) -> CDLL:
-    """Load a library, compiled on its first use on this machine.
+@cache
+def c_structures(name: str) -> Mapping[str, Any]:
+    """The structures of a library's headers by name."""
+    return structures(_header(name))
+
+
+def _header(name: str) -> str:
+    """The text of a library's headers."""
+    return "\n".join(text for file, text in sorted(_texts(name).items()) if file.endswith(".h"))
+
+
+def _texts(name: str) -> dict[str, str]:
+    """File → text of a library's C files and headers."""
+    folder = files(LIBRARIES[name]).joinpath(f"c-{name}")
+    return {file.name: file.read_text(encoding="utf-8") for file in folder.iterdir() if file.name[-2:] in (".c", ".h")}
+
+
+@cache
+def shared_library(name: str) -> Any:
+    """Load a library, compiled on its first use on this machine; its functions have the signatures of its headers.
 
     Raises:
         BuildError: it can't be compiled or loaded, for example without a C compiler.
     """
     try:
-        return CDLL(str(library_file(name)))
+        return typed(CDLL(str(library_file(name))), _header(name), c_structures(name))
     except OSError as error:
         raise BuildError(f"can't load the library of {LIBRARIES[name]}/c-{name}: {error}") from None
 
@@ -36,8 +58,7 @@ def library_file(name: str) -> Path:
     Raises:
         BuildError: it can't be compiled.
     """
-    folder, platform = files(LIBRARIES[name]).joinpath(f"c-{name}"), native_platform()
-    texts = {file.name: file.read_text(encoding="utf-8") for file in folder.iterdir() if file.name[-2:] in (".c", ".h")}
+    platform, texts = native_platform(), _texts(name)
     parts = (platform.name, *COMMON_FLAGS, *RUNTIME_FLAGS, *(text for _, text in sorted(texts.items())))
     file = f"{name}/{content_hash(part.encode() for part in parts)}{platform.suffix}"
     if (path := cached(file)) is not None:

@@ -21,7 +21,7 @@ whose term k is what the derivatives of order k add to the polynomial through th
 from __future__ import annotations
 
 import math
-from ctypes import POINTER, Structure, byref, c_double, c_int, c_size_t, c_void_p
+from ctypes import byref, c_double, c_size_t
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import accumulate
@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.engine.shared_library import shared_library
+from flexfmu.cosim.engine.shared_library import c_structures, shared_library
 from flexfmu.cosim.engine.slave import RealArray
 
 DIVERGING = 3.0
@@ -177,44 +177,7 @@ class HermiteSegments:
         return scales
 
 
-class CSignal(Structure):
-    """``metrics_signal`` of ``metrics.h``."""
-
-    _fields_ = (
-        *((name, c_size_t) for name in ("segments", "channels", "orders", "left_stride", "right_stride")),
-        *((name, c_void_p) for name in ("duration", "left", "right", "control", "highest")),
-        *((name, c_void_p) for name in ("terms", "ends", "bounds", "errors", "jumps", "kept")),
-    )
-
-
-class CQuadrature(Structure):
-    """``metrics_quadrature`` of ``metrics.h``."""
-
-    _fields_ = (
-        *((name, c_size_t) for name in ("points", "order")),
-        *((name, c_void_p) for name in ("weights", "values", "shape", "last")),
-    )
-
-
-@cache
-def library() -> Any:
-    """The C library.
-
-    Raises:
-        BuildError: it can't be compiled or loaded.
-    """
-    found: Any = shared_library("metrics")
-    pair, size = POINTER(c_double), POINTER(c_size_t)
-    for name, result, arguments in (
-        ("prepare", c_size_t, ()),
-        ("peak", None, (pair,)),
-        ("products", None, (POINTER(CQuadrature), pair)),
-        ("parts", None, (pair,)),
-        ("last_above", c_int, (c_double, size, pair)),
-    ):
-        function = getattr(found, f"metrics_{name}")
-        function.restype, function.argtypes = result, (POINTER(CSignal), *arguments)
-    return found
+CSignal, CQuadrature = (c_structures("metrics")[f"metrics_{name}"] for name in ("signal", "quadrature"))
 
 
 class Analysis:
@@ -265,8 +228,8 @@ class Analysis:
             *places,
             _address(self.kept),
         )
-        self._library = library()
-        self.diverging = int(self._library.metrics_prepare(byref(self._signal)))
+        self._library = shared_library("metrics")
+        self.diverging = int(self._library.metrics_prepare(self._signal))
 
     def peak(self) -> tuple[float, float]:
         """Return the largest norm, both sides of every jump included, and how far it may be exceeded.
@@ -274,7 +237,7 @@ class Analysis:
         That is how far another segment may exceed it with its interpolation error, at least the peak segment's error.
         """
         result = (c_double * 2)()
-        self._library.metrics_peak(byref(self._signal), result)
+        self._library.metrics_peak(self._signal, result)
         return result[0], result[1]
 
     def mean_products(self, order: int = 0) -> tuple[float, ...]:
@@ -285,7 +248,7 @@ class Analysis:
         """
         quadrature, integrals = _quadrature(self._signal.orders, order), (c_double * 3)()
         points = CQuadrature(len(quadrature[0]), order, *map(_address, quadrature))
-        self._library.metrics_products(byref(self._signal), byref(points), integrals)
+        self._library.metrics_products(self._signal, points, integrals)
         total = float(self._duration.sum())
         return tuple(each / total for each in integrals)
 
@@ -296,13 +259,13 @@ class Analysis:
         the negated negative part, and the estimated errors of the extremes and of each integral.
         """
         result = (c_double * 7)()
-        self._library.metrics_parts(byref(self._signal), result)
+        self._library.metrics_parts(self._signal, result)
         return tuple(result)
 
     def last_time_above(self, level: float) -> float | None:
         """Return the last time at which the norm is at least ``level`` (zero or positive); None if it never is."""
         segment, theta = c_size_t(), c_double()
-        if not self._library.metrics_last_above(byref(self._signal), level, byref(segment), byref(theta)):
+        if not self._library.metrics_last_above(self._signal, level, byref(segment), byref(theta)):
             return None
         return float(self._start[segment.value] + theta.value * self._duration[segment.value])
 

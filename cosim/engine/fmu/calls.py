@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import sys
 from collections import deque
-from collections.abc import Callable, Mapping
-from ctypes import CFUNCTYPE, Structure, byref, c_bool, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
+from collections.abc import Callable, Mapping, Sequence
+from ctypes import CFUNCTYPE, Structure, byref, c_bool, c_char_p, c_double, c_int, c_uint
 from dataclasses import dataclass
 from enum import Enum, auto
+from functools import cache
 from itertools import count
 from typing import Any
 from weakref import finalize
@@ -26,6 +27,9 @@ from fmpy.fmi2 import (
 from fmpy.fmi3 import fmi3ClockUpdateCallback, fmi3LogMessageCallback
 from fmpy.logging import addLoggerProxy
 from numpy.typing import DTypeLike, NDArray
+
+from flexfmu.fmu_build.c_header import TYPES, Signature, signatures
+from flexfmu.fmu_build.toolchain import fmi_header_folder
 
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 """Values of fmi2Status; those of fmi3Status are the same without Pending."""
@@ -53,28 +57,19 @@ class FmuMode(Enum):
 MODEL_EXCHANGE, CO_SIMULATION = 0, 1
 """Values fmi2ModelExchange and fmi2CoSimulation of fmi2Type."""
 
-Signature = tuple[Any, ...]
-"""C types of the result and of the arguments; pointers are addresses."""
-
-_TRANSFER: Signature = (c_int, c_void_p, c_void_p, c_size_t, c_void_p)
-"""Of a function that reads or sets variables: instance, value references and their number, values."""
-
-_FMI2: dict[str, Signature] = {
-    "fmi2Instantiate": (c_void_p, c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int),
-    "fmi2FreeInstance": (None, c_void_p),
-    "fmi2SetupExperiment": (c_int, c_void_p, c_int, c_double, c_double, c_int, c_double),
-    **dict.fromkeys(("fmi2EnterInitializationMode", "fmi2ExitInitializationMode", "fmi2Terminate"), (c_int, c_void_p)),
-    **{f"fmi2{verb}{kind}": _TRANSFER for kind in ("Real", "Integer", "Boolean", "String") for verb in ("Get", "Set")},
-    "fmi2GetDirectionalDerivative": (*_TRANSFER, c_size_t, c_void_p, c_void_p),
-    **{f"fmi2{verb}FMUstate": (c_int, c_void_p, c_void_p) for verb in ("Get", "Set", "Free")},
+_TYPES: Mapping[str, Any] = {
+    **TYPES,
+    **dict.fromkeys(("fmi2Status", "fmi2StatusKind", "fmi2Type", "fmi2Boolean", "fmi2Integer", "fmi3Status"), c_int),
+    "fmi2Real": c_double,
+    "fmi3Float64": c_double,
+    "fmi3Boolean": c_bool,
+    **{
+        f"fmi{version}{name}": kind
+        for version in "23"
+        for name, kind in (("String", c_char_p), ("ValueReference", c_uint))
+    },
 }
-
-_FMI2_STEPS: dict[str, Signature] = {
-    "fmi2SetRealInputDerivatives": (*_TRANSFER, c_void_p),
-    "fmi2GetRealOutputDerivatives": (*_TRANSFER, c_void_p),
-    "fmi2DoStep": (c_int, c_void_p, c_double, c_double, c_int),
-    **{f"fmi2Get{kind}Status": (c_int, c_void_p, c_int, c_void_p) for kind in ("", "Real", "Boolean")},
-}
+"""Types of FMI's headers that aren't addresses."""
 
 _FMI3_NUMBERS: dict[str, DTypeLike] = {
     "Float32": np.float32,
@@ -83,55 +78,11 @@ _FMI3_NUMBERS: dict[str, DTypeLike] = {
     "Boolean": np.bool_,
 }
 
-_FMI3_MODES = ("EnterConfiguration", "ExitConfiguration", "ExitInitialization", "EnterEvent")
-
-_FMI3: dict[str, Signature] = {
-    "fmi3FreeInstance": (None, c_void_p),
-    **{f"fmi3{mode}Mode": (c_int, c_void_p) for mode in _FMI3_MODES},
-    "fmi3EnterInitializationMode": (c_int, c_void_p, c_bool, c_double, c_double, c_bool, c_double),
-    "fmi3UpdateDiscreteStates": (c_int, *[c_void_p] * 7),
-    "fmi3Terminate": (c_int, c_void_p),
-    **{f"fmi3{verb}FMUState": (c_int, c_void_p, c_void_p) for verb in ("Get", "Set", "Free")},
-    **{f"fmi3{verb}{kind}": (*_TRANSFER, c_size_t) for kind in (*_FMI3_NUMBERS, "String") for verb in ("Get", "Set")},
-    **{f"fmi3{name}": _TRANSFER for name in ("GetClock", "SetClock", "SetIntervalDecimal", "GetShiftDecimal")},
-    "fmi3GetIntervalDecimal": (*_TRANSFER, c_void_p),
-}
-
-_FMI3_STEPS: dict[str, Signature] = {
-    "fmi3InstantiateCoSimulation": (
-        *(c_void_p, c_char_p, c_char_p, c_char_p, c_bool, c_bool, c_bool, c_bool),
-        *(c_void_p, c_size_t, c_void_p, c_void_p, c_void_p),
-    ),
-    "fmi3EnterStepMode": (c_int, c_void_p),
-    "fmi3DoStep": (c_int, c_void_p, c_double, c_double, c_bool, *[c_void_p] * 4),
-    "fmi3GetOutputDerivatives": (*_TRANSFER, c_void_p, c_size_t),
-}
-
-_FMI3_PARTITIONS: dict[str, Signature] = {
-    "fmi3InstantiateScheduledExecution": (c_void_p, c_char_p, c_char_p, c_char_p, c_bool, c_bool, *[c_void_p] * 5),
-    "fmi3ActivateModelPartition": (c_int, c_void_p, c_uint, c_double),
-}
-
-_VECTOR: Signature = (c_int, c_void_p, c_void_p, c_size_t)
-"""Of a function that reads or sets all states, their derivatives or the event indicators: instance, values and their number."""
-
-
-def _exchange(prefix: str, rates: str, flag: Any, **others: Signature) -> dict[str, Signature]:
-    """Return the functions of model exchange, most of which both versions have."""
-    vectors = (
-        "SetContinuousStates",
-        "GetContinuousStates",
-        rates,
-        "GetEventIndicators",
-        "GetNominalsOfContinuousStates",
-    )
-    found: dict[str, Signature] = {
-        **dict.fromkeys(vectors, _VECTOR),
-        **dict.fromkeys(("EnterEventMode", "EnterContinuousTimeMode"), (c_int, c_void_p)),
-        "SetTime": (c_int, c_void_p, c_double),
-        "CompletedIntegratorStep": (c_int, c_void_p, flag, c_void_p, c_void_p),
-    }
-    return {f"{prefix}{name}": signature for name, signature in (found | others).items()}
+_EXCHANGE = (
+    *("EnterEventMode", "EnterContinuousTimeMode", "SetTime", "CompletedIntegratorStep", "GetEventIndicators"),
+    *("SetContinuousStates", "GetContinuousStates", "GetNominalsOfContinuousStates"),
+)
+"""Functions of model exchange that both versions have."""
 
 
 def _event_info(flag: Any) -> type[Structure]:
@@ -147,7 +98,7 @@ class Version:
     Attributes:
         prefix: start of the functions' names.
         state: what the functions call a state of the FMU.
-        signatures: functions for all interface types → signatures.
+        functions: names, without the prefix, of the functions for all interface types.
         interfaces: interface type → those for it alone.
         update: function that updates discrete states.
         rates: function that reads the derivatives of the states.
@@ -159,8 +110,8 @@ class Version:
 
     prefix: str
     state: str
-    signatures: Mapping[str, Signature]
-    interfaces: Mapping[str, Mapping[str, Signature]]
+    functions: Sequence[str]
+    interfaces: Mapping[str, Sequence[str]]
     update: str
     rates: str
     event_info: type[Any]
@@ -172,10 +123,24 @@ class Version:
 FMI2 = Version(
     prefix="fmi2",
     state="FMUstate",
-    signatures=_FMI2,
+    functions=(
+        *(
+            "Instantiate",
+            "FreeInstance",
+            "SetupExperiment",
+            "EnterInitializationMode",
+            "ExitInitializationMode",
+            "Terminate",
+        ),
+        *(f"{verb}{kind}" for kind in ("Real", "Integer", "Boolean", "String") for verb in ("Get", "Set")),
+        *("GetDirectionalDerivative", "GetFMUstate", "SetFMUstate", "FreeFMUstate"),
+    ),
     interfaces={
-        "CoSimulation": _FMI2_STEPS,
-        "ModelExchange": _exchange("fmi2", "GetDerivatives", c_int, NewDiscreteStates=(c_int, c_void_p, c_void_p)),
+        "CoSimulation": (
+            *("SetRealInputDerivatives", "GetRealOutputDerivatives", "DoStep"),
+            *("GetStatus", "GetRealStatus", "GetBooleanStatus"),
+        ),
+        "ModelExchange": (*_EXCHANGE, "GetDerivatives", "NewDiscreteStates"),
     },
     update="NewDiscreteStates",
     rates="GetDerivatives",
@@ -187,17 +152,25 @@ FMI2 = Version(
 FMI3 = Version(
     prefix="fmi3",
     state="FMUState",
-    signatures=_FMI3,
-    interfaces={
-        "CoSimulation": _FMI3_STEPS,
-        "ModelExchange": _exchange(
-            *("fmi3", "GetContinuousStateDerivatives", c_bool),
-            InstantiateModelExchange=(c_void_p, c_char_p, c_char_p, c_char_p, c_bool, c_bool, c_void_p, c_void_p),
-            GetDirectionalDerivative=(*_TRANSFER, c_size_t, c_void_p, c_size_t, c_void_p, c_size_t),
-            GetNumberOfContinuousStates=(c_int, c_void_p, c_void_p),
-            GetNumberOfEventIndicators=(c_int, c_void_p, c_void_p),
+    functions=(
+        *(
+            "FreeInstance",
+            "EnterInitializationMode",
+            "ExitInitializationMode",
+            "EnterEventMode",
+            "UpdateDiscreteStates",
         ),
-        "ScheduledExecution": _FMI3_PARTITIONS,
+        *("EnterConfigurationMode", "ExitConfigurationMode", "Terminate", "GetFMUState", "SetFMUState", "FreeFMUState"),
+        *(f"{verb}{kind}" for kind in (*_FMI3_NUMBERS, "String") for verb in ("Get", "Set")),
+        *("GetClock", "SetClock", "SetIntervalDecimal", "GetIntervalDecimal", "GetShiftDecimal"),
+    ),
+    interfaces={
+        "CoSimulation": ("InstantiateCoSimulation", "EnterStepMode", "DoStep", "GetOutputDerivatives"),
+        "ModelExchange": (
+            *(*_EXCHANGE, "InstantiateModelExchange", "GetContinuousStateDerivatives", "GetDirectionalDerivative"),
+            *("GetNumberOfContinuousStates", "GetNumberOfEventIndicators"),
+        ),
+        "ScheduledExecution": ("InstantiateScheduledExecution", "ActivateModelPartition"),
     },
     update="UpdateDiscreteStates",
     rates="GetContinuousStateDerivatives",
@@ -214,8 +187,15 @@ _RARE = ("String", "Derivative", "Derivatives", "Status", "FMUstate", "Clock", "
 Calls = dict[str, Callable[..., Any]]
 
 
-def bound_calls(library: Any, signatures: Mapping[str, Signature]) -> Calls:
-    """Return the functions with these signatures from a loaded library.
+@cache
+def _signatures(prefix: str) -> Mapping[str, Signature]:
+    """Return the signatures of a version's functions, of the standard's headers."""
+    header = fmi_header_folder() / f"{prefix}FunctionTypes.h"
+    return signatures(header.read_text(encoding="utf-8"), _TYPES)
+
+
+def bound_calls(library: Any, version: Version, kind: str) -> Calls:
+    """Return the functions of an interface type from a loaded library.
 
     A missing function that few FMUs need (`_RARE`) is replaced by one that returns fmi2Error.
 
@@ -223,8 +203,9 @@ def bound_calls(library: Any, signatures: Mapping[str, Signature]) -> Calls:
         AttributeError: the library lacks any other function.
     """
     calls: Calls = {}
-    for name, signature in signatures.items():
-        prototype = CFUNCTYPE(*signature)
+    for each in (*version.functions, *version.interfaces[kind]):
+        name = f"{version.prefix}{each}"
+        prototype = CFUNCTYPE(*_signatures(version.prefix)[name])
         lacks = not hasattr(library, name) and name.endswith(_RARE)
         calls[name] = prototype(lambda *_: ERROR) if lacks else prototype((name, library))
     return calls

@@ -11,8 +11,7 @@ an event are then those of a whole step, not of its interpolation.
 
 from __future__ import annotations
 
-from ctypes import POINTER, Structure, addressof, byref, c_double, c_int, c_size_t, c_void_p, cast, memmove, sizeof
-from functools import cache
+from ctypes import addressof, byref, c_size_t, c_void_p, cast, memmove, sizeof
 from math import ulp
 from typing import Any
 
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.fmu import calls as fmi
 from flexfmu.cosim.engine.fmu.calls import address, value_references
-from flexfmu.cosim.engine.shared_library import shared_library
+from flexfmu.cosim.engine.shared_library import c_structures, shared_library
 from flexfmu.cosim.engine.slave import RealArray
 
 NEAR = 1e-9
@@ -45,52 +44,9 @@ _REACHED, _EVENT, _ENDS, _STUCK, _FAILED = range(5)
 """What ``master_exchange_advance`` returns."""
 
 
-class _Record(Structure):
-    """``master_exchange_record``."""
-
-    _fields_ = (
-        *((name, c_double) for name in ("time", "begin", "step", "last", "last_error", "factored")),
-        *(("is_current", c_int), ("is_stale", c_int)),
-    )
-
-
-class _Polynomials(Structure):
-    """``master_exchange_polynomials``."""
-
-    _fields_ = (
-        *(("references", c_void_p), ("references_count", c_size_t), ("count", c_size_t), ("powers", c_size_t)),
-        *(("coefficients", c_void_p), ("values", c_void_p), ("begin", c_double)),
-    )
-
-
-class _Exchange(Structure):
-    """``master_exchange``."""
-
-    _fields_ = (
-        *((name, c_void_p) for name in ("component", "set_time", "set_states", "get_rates", "get_indicators")),
-        *(("completed", c_void_p), ("directional", c_void_p), ("set_real", c_void_p)),
-        *(("polynomials", c_void_p), ("polynomials_count", c_size_t), ("unknown", c_void_p)),
-        *(("known", c_void_p), ("references", c_size_t), ("is_fmi3", c_int), ("n", c_size_t), ("m", c_size_t)),
-        *(
-            ("tolerance", c_double),
-            ("least", c_double),
-            ("no_rollback", c_int),
-            ("absolute", c_void_p),
-            ("nominal", c_void_p),
-        ),
-        *(("memory", c_void_p), ("pivots", c_void_p), ("record", _Record), ("status", c_int)),
-    )
-
-
-@cache
-def _library() -> Any:
-    """The functions of ``exchange.c``; a `BuildError` if it can't be compiled, for example without a C compiler."""
-    library: Any = shared_library("master")
-    library.master_exchange_size.argtypes = (c_size_t, c_size_t)
-    library.master_exchange_size.restype = c_size_t
-    library.master_exchange_begin.argtypes = (POINTER(_Exchange), c_void_p, c_int)
-    library.master_exchange_advance.argtypes = (POINTER(_Exchange), c_double)
-    return library
+_Record, _Polynomials, _Exchange = (
+    c_structures("master")[f"master_exchange{part}"] for part in ("_record", "_polynomials", "")
+)
 
 
 class ContinuousTime:
@@ -105,7 +61,7 @@ class ContinuousTime:
     """
 
     def __init__(self, instance: Any, fmu: Any) -> None:
-        self._instance, self._fmu, self._library = instance, fmu, _library()
+        self._instance, self._fmu, self._library = instance, fmu, shared_library("master")
         version, interface = instance.version, fmu.interface
         unknowns = [each.variable for each in fmu.description.derivatives or ()]
         known = [each.derivative.valueReference for each in unknowns if each.derivative is not None]

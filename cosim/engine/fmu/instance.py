@@ -81,8 +81,7 @@ def load_calls(fmu: UnpackedFmu) -> fmi.Calls:
         except ChildLostError as lost:
             raise FmuFileError(f"{fmu.path} is a broken FMU: loading its library, {lost}{fmu.tool_hint}") from lost
     library, version = load(), FMI3 if fmu.is_fmi3 else FMI2
-    signatures = {**version.signatures, **version.interfaces[fmu.kind]}
-    calls: fmi.Calls = attempt(fmu.path, lambda: fmi.bound_calls(library, signatures))
+    calls: fmi.Calls = attempt(fmu.path, lambda: fmi.bound_calls(library, version, fmu.kind))
     # scheduled execution has neither steps nor event mode
     if fmu.kind == "ScheduledExecution":
         names = ("EnterEventMode", "UpdateDiscreteStates", "EnterStepMode", "DoStep")

@@ -8,40 +8,31 @@ variant that fails leaves the others undisturbed and is reported; its FMU tells 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from ctypes import CDLL, POINTER, Structure, c_char_p, c_double, c_int, c_size_t, create_string_buffer
+from ctypes import CDLL, create_string_buffer
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.engine.fmu.calls import close_after_use
+from flexfmu.cosim.engine.fmu.calls import address, close_after_use
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.variables import Value, items
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.fmu_build.batch_build import batch_library, lanes_of_processor
+from flexfmu.fmu_build.c_header import structures, typed
 from flexfmu.fmu_build.choices import FIXED_STEP, INITIAL, INTEGRATOR, LEAST_TOLERANCE
 
 BATCH = 64
 """Number of variants in one call of the library; Python can be interrupted between two calls."""
 
-_DOUBLES, _INTS = POINTER(c_double), POINTER(c_int)
 Flags = NDArray[np.bool_]
 
-
-class _Task(Structure):
-    """The structure `flex_batch_task` of ``c-runtime/batch/batch.h``."""
-
-    _fields_ = (
-        *(("n_points", c_int), ("times", _DOUBLES), ("jumps", _INTS)),
-        *(("n_orders", c_int), ("before", _DOUBLES), ("polynomials", _DOUBLES)),
-        *(("n_motion", c_int), ("kinds", _INTS)),
-        *(("tolerance", c_double), ("fixed_step", c_double), ("method", c_int), ("starts_static", c_int)),
-        *(("parameters", _DOUBLES), ("n_changed", c_int), ("changed", _INTS)),
-        *(("n_recorded", c_int), ("recorded", _INTS), ("order", c_int), ("finds_peaks", c_int)),
-    )
+_HEADER = (files("flexfmu.fmu_build") / "c-runtime" / "batch" / "batch.h").read_text(encoding="utf-8")
+_STRUCTURES = structures(_HEADER)
 
 
 @dataclass(frozen=True)
@@ -135,7 +126,7 @@ class Lockstep:
             known = items(variables[name])
             return known[value] if value in known else int(value)
 
-        self._task = _Task(
+        self._task = _STRUCTURES["flex_batch_task"](
             n_points=course.times.size,
             n_orders=course.polynomials.shape[1],
             n_motion=course.motion,
@@ -147,7 +138,7 @@ class Lockstep:
             n_changed=len(changed),
             n_recorded=len(outputs),
             order=order,
-            **{name: _pointer(values) for name, values in arrays.items()},
+            **{name: address(values) for name, values in arrays.items()},
         )
 
     def record(self, values: RealArray) -> tuple[RealArray, Flags]:
@@ -188,9 +179,7 @@ class Lockstep:
         values = np.insert(values, 0, 1.0 if time_scales is None else time_scales, axis=1)
         for first in range(0, len(values), BATCH):
             piece = slice(first, first + BATCH)
-            failed[piece] = self._run(
-                values[piece], peaks[piece], self._library.flex_batch_peaks, (c_double(end),), memory
-            )
+            failed[piece] = self._run(values[piece], peaks[piece], self._library.flex_batch_peaks, (end,), memory)
             progress(int((~failed[piece]).sum()))
         return peaks, failed
 
@@ -204,23 +193,14 @@ class Lockstep:
     ) -> Flags:
         """Call a function of the library for all variants; whether each failed."""
         values, failed = np.ascontiguousarray(values, dtype=float), np.zeros(len(values), dtype=np.intc)
-        function(self._task, memory, *further, len(values), _pointer(values), _pointer(results), _pointer(failed))
+        function(self._task, memory, *further, len(values), address(values), address(results), address(failed))
         lost: Flags = failed != 0
         return lost
-
-
-def _pointer(array: NDArray[Any]) -> Any:
-    return array.ctypes.data_as(_DOUBLES if array.dtype == float else _INTS)
 
 
 @lru_cache(maxsize=16)
 def _library(fmu: Path, changed: int, lanes: int) -> Any:
     """The library of an FMU that was changed last at some time [ns], found once: its name is the hash of all sources."""
-    library: Any = CDLL(str(batch_library(fmu, lanes)))
+    library: Any = typed(CDLL(str(batch_library(fmu, lanes))), _HEADER, _STRUCTURES)
     close_after_use(library)
-    task = POINTER(_Task)
-    library.flex_batch_size.argtypes, library.flex_batch_size.restype = (task,), c_size_t
-    library.flex_batch_record.argtypes = (task, c_char_p, c_int, _DOUBLES, _DOUBLES, _INTS)
-    library.flex_batch_peaks.argtypes = (task, c_char_p, c_double, c_int, _DOUBLES, _DOUBLES, _INTS)
-    library.flex_batch_record.restype = library.flex_batch_peaks.restype = None
     return library

@@ -8,7 +8,7 @@ Python.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from ctypes import CFUNCTYPE, POINTER, Structure, addressof, byref, c_double, c_int, c_size_t, c_void_p, cast
+from ctypes import CFUNCTYPE, addressof, c_double, c_int, c_size_t, c_void_p, cast
 from enum import IntEnum
 from functools import cache, cached_property, partial
 from typing import Any
@@ -25,7 +25,7 @@ from flexfmu.cosim.engine.master.grid import TimeGrid
 from flexfmu.cosim.engine.master.ports import OutputPort, SignalGroup
 from flexfmu.cosim.engine.master.recorder import Recorder
 from flexfmu.cosim.engine.master.schedule import Action, Operation, Schedule, When
-from flexfmu.cosim.engine.shared_library import shared_library
+from flexfmu.cosim.engine.shared_library import c_structures, shared_library
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.fmu_build.errors import BuildError
@@ -35,8 +35,6 @@ CALLBACK = CFUNCTYPE(c_int, c_size_t, c_double, c_double)
 
 Failure = Callable[[int, float, float], BaseException]
 """(status, begin [s], end [s]) of a failed instruction → the exception to raise."""
-
-_FIELDS = ("function", "component", "references", "orders", "columns", "places", "source", "target", "due")
 
 
 class Opcode(IntEnum):
@@ -57,38 +55,9 @@ class Opcode(IntEnum):
     CALL = 12
 
 
-class CInstruction(Structure):
-    """``master_instruction``."""
-
-    _fields_ = (
-        *((name, c_int) for name in ("kind", "condition", "owner")),
-        *((name, c_size_t) for name in ("count", "stride")),
-        *((name, c_void_p) for name in _FIELDS),
-    )
-
-
-class CChannel(Structure):
-    """``master_channel``."""
-
-    _fields_ = (("signals", c_void_p), ("columns", c_void_p), ("count", c_size_t))
-
-
-class CProgram(Structure):
-    """``master_program``."""
-
-    _fields_ = (
-        *((name, c_void_p) for name in ("advance", "exchange")),
-        *((name, c_size_t) for name in ("n_advance", "n_exchange")),
-        ("channels", c_void_p),
-        *((name, c_size_t) for name in ("n_channels", "capacity")),
-        *((name, c_void_p) for name in ("times", "jumps", "instants", "recorded_times", "active")),
-    )
-
-
-class CProgress(Structure):
-    """``master_progress``."""
-
-    _fields_ = (("points", c_size_t), ("records", c_size_t), ("instruction", c_size_t), ("status", c_int))
+CInstruction, CChannel, CProgram, CProgress = (
+    c_structures("master")[f"master_{name}"] for name in ("instruction", "channel", "program", "progress")
+)
 
 
 class Instruction:
@@ -192,8 +161,8 @@ def pointer(function: Any) -> int | None:
     return address_of
 
 
-RunProgram = Callable[[CProgram, int, CProgress], int]
-"""Runs a program until so many steps are completed; returns 0, or 1 if an instruction failed."""
+RunProgram = Callable[[Any, int, Any], int]
+"""Runs a ``master_program`` until so many steps are completed; returns 0, or 1 if an instruction failed."""
 
 
 @cache
@@ -203,9 +172,7 @@ def load() -> RunProgram | None:
         function: Any = shared_library("master").master_run
     except BuildError:
         return None
-    function.argtypes = (POINTER(CProgram), c_size_t, POINTER(CProgress))
-    function.restype = c_int
-    return lambda program, points, progress: int(function(byref(program), points, byref(progress)))
+    return lambda program, points, progress: int(function(program, points, progress))
 
 
 PHASES: Mapping[Action, binding.Phase] = {Action.SAMPLE: "sample", Action.OUTPUT: "output", Action.UPDATE: "update"}
@@ -393,7 +360,7 @@ class CompiledLoop:
                     setattr(packed, name, address(value) if isinstance(value, np.ndarray) else value)
         return arrays
 
-    def _prepared(self) -> CProgram:
+    def _prepared(self) -> Any:
         """The program; the recorder has new memory for each run."""
         blocks = self._recorder.blocks
         self._channels = (CChannel * max(len(blocks), 1))()

@@ -46,9 +46,6 @@ typedef struct {
   int finds_peaks;
 } flex_batch_task;
 
-/* lanes of the widest library for this processor, in a library of its own */
-FLEX_BATCH_EXPORT int flex_batch_widest(void);
-
 /* lanes of this library */
 FLEX_BATCH_EXPORT int flex_batch_width(void);
 

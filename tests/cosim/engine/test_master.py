@@ -298,7 +298,9 @@ def test_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     monkeypatch.setattr(scene_build, "build_fmu", lambda *_, **__: SimpleNamespace(cached=False))
     build_scene(SCENE)
     monkeypatch.setenv("CC", "there-is-no-such-compiler")
+    shared_library.cache_clear()
     assert load.__wrapped__() is not None
     assert shared_library("metrics").metrics_peak
     monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path / "empty"))
+    shared_library.cache_clear()
     assert load.__wrapped__() is None
