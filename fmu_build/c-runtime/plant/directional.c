@@ -1,7 +1,11 @@
-/* Changes are followed in the order in which the plant computes: parameters, static equilibrium, accelerations, outputs. Each
- * stage is linear in what went before, so one direction costs one pass (implicit function theorem for the equilibrium). */
-#include "directional.h"
-
+/* Directional derivatives of a plant: what small changes of inputs, parameters and states make of its outputs.
+ *
+ * Only products with one direction are formed, by forward differentiation of the generated functions; the accelerations
+ * change by M da = -(change of the residual without da). Before the motion the coordinates follow from inputs and parameters,
+ * by the implicit function theorem where they are a static equilibrium. Inputs are held, also those that were never set.
+ *
+ * Changes are followed in the order in which the plant computes: parameters, static equilibrium, accelerations, outputs. Each
+ * stage is linear in what went before, so one direction costs one pass. */
 #include <math.h>
 #include <string.h>
 
@@ -141,7 +145,8 @@ static flex_failure follow(flex_plant *plant) {
   return failure;
 }
 
-int flex_differentiate(flex_plant *plant, const flex_direction *direction) {
+int flex_backend_differentiate(flex_backend *backend, const flex_direction *direction) {
+  flex_plant *plant = plant_of(backend);
   unsigned first = (unsigned)(plant->model->n_inputs + plant->model->n_parameters);
   if (gather(plant, direction)) return 1;
   if (flex_explain(plant, "differentiation", follow(plant))) return 1;

@@ -3,23 +3,12 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "backend.h"
-#include "directional.h"
 #include "events.h"
 #include "model_exchange.h"
 #include "variables.h"
 
 /* smallest relative tolerance: below it ROUNDING_ERROR of the integrator decides about the steps of every method */
 #define LEAST_TOLERANCE 1e-12
-
-typedef struct {
-  flex_backend base;
-  flex_plant *plant;
-} plant_backend;
-
-static flex_plant *plant_of(flex_backend *backend) {
-  return ((plant_backend *)backend)->plant;
-}
 
 const char *flex_backend_guid(void) {
   return flex_the_model.guid;
@@ -100,14 +89,6 @@ int flex_backend_set_real(flex_backend *backend, unsigned index, double value) {
   return flex_set_real(plant_of(backend), index, value);
 }
 
-int flex_backend_get_integer(flex_backend *backend, unsigned index, int *value) {
-  return flex_get_integer(plant_of(backend), index, value);
-}
-
-int flex_backend_set_integer(flex_backend *backend, unsigned index, int value) {
-  return flex_set_integer(plant_of(backend), index, value);
-}
-
 int flex_backend_set_input_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
                                        const double *value) {
   flex_plant *plant = plant_of(backend);
@@ -142,10 +123,6 @@ int flex_backend_get_output_derivatives(flex_backend *backend, const unsigned *i
     highest = (unsigned)order[i] > highest ? (unsigned)order[i] : highest;
   }
   return 0;
-}
-
-int flex_backend_differentiate(flex_backend *backend, const flex_direction *direction) {
-  return flex_differentiate(plant_of(backend), direction);
 }
 
 size_t flex_backend_states(void) {

@@ -191,7 +191,8 @@ static int clamped(long long count) {
   return count > INT_MAX ? INT_MAX : (int)count;
 }
 
-int flex_get_integer(flex_plant *plant, unsigned index, int *value) {
+int flex_backend_get_integer(flex_backend *backend, unsigned index, int *value) {
+  flex_plant *plant = plant_of(backend);
   const flex_plant_record *record = plant->record;
   switch (index) {
     case FLEX_INITIAL: *value = record->starts_static ? FLEX_STATIC : FLEX_UNDEFORMED; return 0;
@@ -215,7 +216,8 @@ static int refuse_choice(flex_plant *plant, const char *name, int value, int las
   return refuse(plant, "%s is fixed once the motion has begun; reset the instance to change it", name);
 }
 
-int flex_set_integer(flex_plant *plant, unsigned index, int value) {
+int flex_backend_set_integer(flex_backend *backend, unsigned index, int value) {
+  flex_plant *plant = plant_of(backend);
   switch (index) {
     case FLEX_INITIAL:
       if (refuse_choice(plant, "initial", value, FLEX_UNDEFORMED, "1 (static) or 2 (undeformed)")) return 1;

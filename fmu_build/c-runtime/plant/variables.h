@@ -1,4 +1,4 @@
-/* The variables of a plant by index, with checks; reals are numbered inputs | parameters | outputs | fixed step.
+/* The variables of a plant behind the FMI layer, by index, with checks; reals are numbered inputs | parameters | outputs | fixed step.
  *
  * Every function returns 0, or 1 with a sentence in plant->message and nothing changed. */
 #ifndef FLEXFMU_VARIABLES_H
@@ -6,7 +6,15 @@
 
 #include <math.h>
 
+#include "backend.h"
 #include "plant.h"
+
+typedef struct {
+  flex_backend base;
+  flex_plant *plant;
+} plant_backend;
+
+static inline flex_plant *plant_of(flex_backend *backend) { return ((plant_backend *)backend)->plant; }
 
 /* integers: the choices of the start and the integrator, and what that has done */
 enum {
@@ -24,8 +32,6 @@ enum {
 enum { FLEX_STATIC = 1, FLEX_UNDEFORMED = 2 };
 
 int flex_set_real(flex_plant *plant, unsigned index, double value);
-int flex_get_integer(flex_plant *plant, unsigned index, int *value);
-int flex_set_integer(flex_plant *plant, unsigned index, int value);
 
 /* 0 if there is such an input, and its derivative may have that order and value */
 int flex_refuse_input_derivative(flex_plant *plant, unsigned index, int order, double value);
