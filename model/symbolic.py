@@ -243,6 +243,11 @@ class SymbolicModel:
     nominals: tuple[float, ...] = ()
     iterated: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        """Return a line: the names of its unknowns and inputs."""
+        names = ", ".join(self.unknowns), ", ".join(each.name for each in self.inputs) or "none"
+        return f"Model {self.name}: unknowns {names[0]}; inputs {names[1]}; {len(self.outputs)} outputs"
+
     @property
     def states(self) -> tuple[int, ...]:
         """Which of [y, v] (2 n) are states."""

@@ -96,10 +96,12 @@ def answers(
     value = instance.get([known])
     step = share * max(size_of(known), abs(float(value[0])))
     ends = []
-    for sign in (1.0, -1.0):
-        set_known(value + sign * step)
-        ends.append(np.asarray(instance.get(unknowns)))
-    set_known(value)
+    try:
+        for sign in (1.0, -1.0):
+            set_known(value + sign * step)
+            ends.append(np.asarray(instance.get(unknowns)))
+    finally:  # outside of its domain a model has no value
+        set_known(value)
     return ends[0], ends[1], step
 
 

@@ -575,6 +575,7 @@ def test_linearised_about_a_point() -> None:
     system = flexfmu.linearize(cart_pole(), {"theta": 0.0, "force": 0.0}, ["theta"])
     assert list(system.state_labels) == ["x", "theta", "der(x)", "der(theta)"]
     assert sorted(system.poles().real)[-1] == pytest.approx(np.sqrt(GRAVITY * 3.0 / (2.0 * 0.5)))
+    assert repr(cart_pole()) == "Model cart: unknowns x, theta; inputs force; 6 outputs"
     oscillator = flexfmu.linearize(van_der_pol(2.0), {"x0": 0.3, "x1": 0.7}, ["x1"])
     assert np.allclose(oscillator.A, [[0, 1], [-1 - 4 * 0.3 * 0.7, 2 * (1 - 0.09)]])
     assert list(oscillator.state_labels) == ["x0", "x1"]

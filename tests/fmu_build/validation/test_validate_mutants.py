@@ -13,7 +13,10 @@ import time
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 from fmpy.validation import validate_fmu as validate_by_fmpy
 from typer.testing import CliRunner
@@ -27,6 +30,7 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.fmu_build.archive import pack
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.toolchain import native_platform
+from flexfmu.fmu_build.validation.dependencies import answers
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.fmu_build.validation.worker import disturbances
@@ -364,3 +368,24 @@ def test_mutants_are_mutants(library: bytes, tmp_path: Path) -> None:
     assert len({*names} | UNKNOWABLE) == len(names) >= 190
     (tmp_path / "spring.fmu").write_bytes(zipped(spring_files(library)))
     assert validate_by_fmpy(str(tmp_path / "spring.fmu")) == []
+
+
+def test_a_change_that_is_refused_is_taken_back() -> None:
+    """A model has no value outside of its domain, where a probe may lead; what is checked behind starts from the value before."""
+
+    class Root:
+        value = np.array([1e-3])
+
+        def get(self, variables: list[str]) -> np.ndarray[Any, Any]:
+            if variables == ["root"] and self.value < 0.0:
+                raise ValueError("no number")
+            return self.value.copy()
+
+        def set(self, variables: list[str], value: np.ndarray[Any, Any]) -> None:
+            self.value = value
+
+    instance, known = Root(), SimpleNamespace(start="1.0", nominal="1.0", declaredType=None, type="Real")
+    instance.get([known])
+    with pytest.raises(ValueError, match="no number"):
+        answers(instance, ["root"], known, 0.01)
+    assert instance.value == 1e-3
