@@ -52,18 +52,12 @@ def block_content(block: SymbolicBlock, naming: Naming) -> Content:
     """
     block = regular_block(block)
     functions, facts = generate_block(block)
-
-    # only the tables contain names and the GUID
-    def code(guid: str) -> dict[str, str]:
-        values = {"sample": facts, "guid": guid, "max_input_order": codegen.MAX_INPUT_ORDER}
-        return functions | {
-            codegen.DESCRIPTION_FILE: render("block_description.c.j2", block=named(block, naming), **values)
-        }
-
+    values = {"block": named(block, naming), "sample": facts, "max_input_order": codegen.MAX_INPUT_ORDER}
     return Content(
         "block",
         block_description(block),
-        code,
+        functions,
+        lambda guid: render("block_description.c.j2", guid=guid, **values),
         "block.html.j2",
         picture=block_picture(),
         values={"model": block},

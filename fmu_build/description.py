@@ -9,7 +9,7 @@ from importlib.metadata import version
 from typing import Any, Literal
 
 from flexfmu.fmu_build.choices import ChoiceParameter, annotation
-from flexfmu.fmu_build.codegen import identifier
+from flexfmu.fmu_build.codegen import DESCRIPTION_FILE, identifier
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.interface import FmiVariable, Interface, unique_interface
@@ -99,7 +99,8 @@ class Content:
     Attributes:
         kind: kind of the FMU, which selects the runtime.
         description: content of the model description, with structured names.
-        code: function from a GUID to the generated C files, name → text.
+        functions: generated C files without names of variables, name → text.
+        tables: function from a GUID to the generated C file with the names and the GUID.
         page: template of the documentation's page, which extends ``page.html.j2``.
         picture: picture at the top of the page.
         values: further variables of the template.
@@ -109,12 +110,17 @@ class Content:
 
     kind: FmuKind
     description: Description
-    code: Callable[[str], dict[str, str]]
+    functions: Mapping[str, str]
+    tables: Callable[[str], str]
     page: str
     picture: Picture
     values: Mapping[str, Any] = field(default_factory=dict)
     c_files: Mapping[str, str] = field(default_factory=dict)
     libraries: Mapping[str, SharedLibrary] = field(default_factory=dict)
+
+    def code(self, guid: str) -> dict[str, str]:
+        """The generated C files, name → text."""
+        return {**self.functions, DESCRIPTION_FILE: self.tables(guid)}
 
 
 def description_xml(

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite, sqrt
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from flexfmu.fmu_build.choices import FIXED_STEP, INITIAL, INTEGRATOR, INTEGRATOR_REFERENCE, ChoiceParameter
 from flexfmu.fmu_build.errors import ModelError, StartError
@@ -150,19 +150,22 @@ def unique_interface(
     Raises:
         ModelError: a variable has the name of one of the further ones.
     """
-    time = FmiVariable("time", TIME, "Real", "Time", "independent", "continuous")
+
+    def real(
+        name: str, reference: int, text: str, causality: str = "local", initial: str | None = "calculated", **more: Any
+    ) -> FmiVariable:
+        return FmiVariable(name, reference, "Real", text, causality, "continuous", initial, **more)
+
+    time = real("time", TIME, "Time", "independent", None)
     indicators = [
-        FmiVariable(name, FIRST_INDICATOR + k, "Real", "Event indicator", "local", "continuous", "calculated")
-        for k, name in enumerate(f"event_indicator[{k + 1}]" for k in range(n_indicators))
+        real(f"event_indicator[{k + 1}]", FIRST_INDICATOR + k, "Event indicator") for k in range(n_indicators)
     ]
+    text = f"orders 1 to {max_input_order}, in SI units; zero after it is set"
     derivatives = [
-        FmiVariable(
+        real(
             prefixed("derivatives", each.name),
             FIRST_DERIVATIVES + each.value_reference,
-            "Real",
-            f"Time derivatives of {each.name}, orders 1 to {max_input_order}, in SI units; zero after it is set",
-            "input",
-            "continuous",
+            *(f"Time derivatives of {each.name}, {text}", "input", None),
             start=0.0,
             size=max_input_order,
         )
@@ -171,21 +174,10 @@ def unique_interface(
     ]
     clock = FmiVariable("clock", CLOCK, "Clock", "Ticks at the sample instants", "input", "discrete")
     count = len(interface.derivatives)
+    both = {"states": "All continuous states", "der(states)": "Their time derivatives"} if count else {}
     states = [
-        FmiVariable(
-            name,
-            STATES + k,
-            "Real",
-            f"{what}, in the order of the model structure",
-            "local",
-            "continuous",
-            "calculated",
-            size=count,
-        )
-        for k, (name, what) in enumerate(
-            {"states": "All continuous states", "der(states)": "Their time derivatives"}.items()
-        )
-        if count
+        real(name, STATES + k, f"{what}, in the order of the model structure", size=count)
+        for k, (name, what) in enumerate(both.items())
     ]
     more = (time, *indicators, *derivatives, *[clock] * has_clock, *states)
     further = replace(interface, variables=(*interface.variables, *more))

@@ -10,14 +10,7 @@ from typing import Literal
 from flexfmu.fmu_build.block_build import block_content
 from flexfmu.fmu_build.cache import content_hash
 from flexfmu.fmu_build.choices import INITIAL, INTEGRATOR, LEAST_TOLERANCE
-from flexfmu.fmu_build.codegen import (
-    DESCRIPTION_FILE,
-    LANES_FILE,
-    MAX_INPUT_ORDER,
-    generate_description,
-    generate_functions,
-    identifier,
-)
+from flexfmu.fmu_build.codegen import LANES_FILE, MAX_INPUT_ORDER, generate_description, generate_functions, identifier
 from flexfmu.fmu_build.description import Content, Description, FmuKind, description_xml, documentation
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
@@ -185,23 +178,18 @@ def _plant_content(model: SymbolicModel, naming: Naming, experiment: DefaultExpe
         ModelError: the model violates its contract.
     """
     functions, facts = generate_functions(model)
-
-    # only the tables contain names and the GUID
-    def code(guid: str) -> dict[str, str]:
-        has_lanes = LANES_FILE in functions
-        tables = generate_description(named(model, naming), facts, guid, experiment.tolerance, has_lanes=has_lanes)
-        return functions | {DESCRIPTION_FILE: tables}
-
+    shown, has_lanes = named(model, naming), LANES_FILE in functions
     # states on the page
     states = [namer(naming)(model.outputs[k].name) for k in find_states(model).outputs]
     return Content(
         "plant",
         plant_description(model),
-        code,
+        functions,
+        lambda guid: generate_description(shown, facts, guid, experiment.tolerance, has_lanes=has_lanes),
         "index.html.j2",
         picture=plant_picture(model.drawing),
         values={
-            "model": named(model, naming),
+            "model": shown,
             "states": states,
             "initial_states": INITIAL.items,
             "integrators": INTEGRATOR.items,

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexfmu.fmu_build.choices import ChoiceParameter
-from flexfmu.fmu_build.codegen import DESCRIPTION_FILE
 from flexfmu.fmu_build.description import Content, Description
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.interface import Interface, choice_variable, real_variables
@@ -85,12 +84,7 @@ def motion_content(motion: Motion, naming: Naming) -> Content:
         max_output_order=END_ORDER,
         annotations={"Breakpoints": {"times": " ".join(map(repr, breakpoints))}},
     )
-
-    def code(guid: str) -> dict[str, str]:
-        values = {"axes": axes, "outputs": named_variables(outputs, naming)}
-        template = "trajectory_description.c.j2"
-        return {DESCRIPTION_FILE: render(template, name=name, guid=guid, table=table, **values)}
-
+    values = {"name": name, "table": table, "axes": axes, "outputs": named_variables(outputs, naming)}
     # a picture of the positions of the first two axes over time
     times = np.linspace(breakpoints[0], breakpoints[-1], PICTURE_POINTS)
     positions = motion.trajectory.evaluate(times, 0)[0]
@@ -98,7 +92,8 @@ def motion_content(motion: Motion, naming: Naming) -> Content:
     return Content(
         "trajectory",
         description,
-        code,
+        {},
+        lambda guid: render("trajectory_description.c.j2", guid=guid, **values),
         "trajectory.html.j2",
         picture=curves_picture(curves),
         values={

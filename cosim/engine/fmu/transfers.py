@@ -176,11 +176,11 @@ class Transfers:
             return lambda: OK
         values = np.zeros((len(columns), self._instance.input_order))
         references = value_references([FIRST_DERIVATIVES + handles[column].reference for column in columns])
-        component, send = self._instance.component, self._instance.calls["fmi3SetFloat64"]
+        send = self._bound("fmi3SetFloat64", references, values)
 
         def call() -> int:
             values[:, : len(derivatives)] = derivatives[:, columns].T
-            return int(send(component, address(references), references.size, address(values), values.size))
+            return send(values.size)
 
         return call
 
@@ -204,10 +204,10 @@ class Transfers:
             return None
         return self._bound(function, value_references([each.reference for each in handles]), values)
 
-    def _bound(self, function: str, references: NDArray[np.uint32], *buffers: NDArray[Any]) -> StatusCall:
+    def _bound(self, function: str, references: NDArray[np.uint32], *buffers: NDArray[Any]) -> partial[int]:
         """Return the function bound to value references and buffers; the call keeps them alive."""
         where = map(address, buffers)
-        call = partial(
+        call: partial[int] = partial(
             self._instance.calls[function], self._instance.component, address(references), references.size, *where
         )
         call.__dict__["arrays"] = references, buffers
