@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from flexfmu.fmu_build import toolchain
+from flexfmu.fmu_build.c_header import structures
 from flexfmu.fmu_build.errors import CompileError, MissingCompilerError, PlatformError
 from flexfmu.fmu_build.toolchain import PLATFORMS, CompileJob, find_compiler, find_platforms, native_platform
 from flexfmu.fmu_build.validation.binaries import read_elf
@@ -29,6 +30,30 @@ def test_nothing_is_exported_by_accident(tmp_path: Path) -> None:
     library = _build(tmp_path, visible)
     assert ctypes.CDLL(str(library)).answer() == 42
     assert read_elf(library.read_bytes())[0] == {"answer"}
+
+
+def test_structures_are_as_the_compiler_lays_them_out(tmp_path: Path) -> None:
+    """Python fills structures of C by what it reads in the headers: size and every offset must be those of C."""
+    root, found, lines = Path(__file__).parents[2], {}, ["#include <stddef.h>"]
+    for name in (
+        "engine/master/c-master/master.h",
+        "engine/master/c-master/exchange.h",
+        "engine/master/c-master/dense.h",
+    ):
+        found |= structures((root / "cosim" / name).read_text(encoding="utf-8"))
+        lines.append(f'#include "{root}/cosim/{name}"')
+    for header in (root / "cosim/metrics/c-metrics/metrics.h", root / "fmu_build/c-runtime/batch/batch.h"):
+        found |= structures(header.read_text(encoding="utf-8"))
+        lines.append(f'#include "{header}"')
+    numbers = {f"sizeof({name})": ctypes.sizeof(each) for name, each in found.items()}
+    numbers |= {f"offsetof({n}, {f})": getattr(each, f).offset for n, each in found.items() for f, _ in each._fields_}
+    assert len(numbers) > 80
+    lines.append(f"const size_t wrong[] = {{{', '.join(f'{name} != {value}' for name, value in numbers.items())}}};")
+    lines.append('__attribute__((visibility("default"))) int answer(void) {')
+    lines.append(
+        "  for (size_t i = 0; i < sizeof wrong / sizeof *wrong; i++) if (wrong[i]) return 1 + (int)i;\n  return 0;\n}"
+    )
+    assert ctypes.CDLL(str(_build(tmp_path, "\n".join(lines)))).answer() == 0
 
 
 def test_errors_of_the_compiler_are_one_line_with_the_place(tmp_path: Path) -> None:
