@@ -287,8 +287,8 @@ class Draft:
         if expression.numel() != 1:
             raise ModelError(f"{where} must be one expression, got {expression.size1()} x {expression.size2()} of them")
         # symbols of the user by name; those of the model are known
-        own = {each.element_hash() for each in casadi.symvar(casadi.vertcat(self.y, self.v, self.a, self.u, self.d))}
-        own |= {each.element_hash() for each in casadi.vertsplit(self.unsolved)}
+        symbols = casadi.vertcat(self.y, self.v, self.a, self.u, self.d, self.unsolved)
+        own = {each.element_hash() for each in casadi.symvar(symbols)}
         named: dict[str, casadi.SX] = {"t": self.time} if "t" in scopes else {}
         for letter in (each for each in scopes if each not in "vats"):
             named |= self.scopes[letter]._symbols
