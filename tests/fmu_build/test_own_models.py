@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from itertools import pairwise
@@ -502,7 +503,12 @@ def test_bounces_that_accumulate_end_a_run() -> None:
     assert repr(found).startswith(f"Simulation failed after {found.steps} steps: ball failed: ")
     # so does a switch along whose zero the motion slides
     events = {"side": flexfmu.event(lambda x: x.x)}
-    slide = flexfmu.ode("slide", x={"x": 0.1}, rhs=lambda s: -s.side, events=events)
+    slide = flexfmu.ode(
+        "slide", x={"x": 0.1, "y": 1.0}, p={"k": 0.0}, rhs=lambda x, p, s: [-s.side, p.k * x.y], events=events
+    )
+    # and what grows until its square overflows
+    found = flexfmu.simulate([flexfmu.slave(slide, parameters={"k": 1e4})], stop_time=0.05, step=0.01)
+    assert "at 0.0355 s the model gives no finite number" in re.sub(r"(0\.0355)\d+", r"\1", found.message)
     assert "one of these events happens again at once: side" in flexfmu.simulate(slide, stop_time=1.0, step=1.0).message
     assert found.recording.time[-1] == pytest.approx(9 * np.sqrt(2 / GRAVITY), abs=0.05)
 

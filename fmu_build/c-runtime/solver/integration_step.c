@@ -89,9 +89,9 @@ flex_outcome flex_step_check_margin(flex_integrator *integrator, const real *u, 
   return *margin >= model->minimum_margin ? FLEX_DONE : FLEX_TOO_SINGULAR;
 }
 
-// 1 / size^2 with a size of at least |x|; a coordinate without weight stays without one
+// 1 / size^2 with a size of at least |x|, NaN where the square overflows; a coordinate without weight stays without one
 static void grow_size(real *weight, real x) {
-  *weight = flex_if_positive(*weight * x * x - flex_real(1.0), flex_real(1.0) / (x * x), *weight);
+  *weight = flex_if_positive(*weight * x * x - flex_real(1.0), flex_real(1.0) / (x * x) + 0.0 * (x * x), *weight);
 }
 
 void flex_step_grow_sizes(flex_integrator *integrator) {
