@@ -507,8 +507,8 @@ def test_bounces_that_accumulate_end_a_run() -> None:
         "slide", x={"x": 0.1, "y": 1.0}, p={"k": 0.0}, rhs=lambda x, p, s: [-s.side, p.k * x.y], events=events
     )
     # and what grows until its square overflows
-    found = flexfmu.simulate([flexfmu.slave(slide, parameters={"k": 1e4})], stop_time=0.05, step=0.01)
-    assert "at 0.0355 s the model gives no finite number" in re.sub(r"(0\.0355)\d+", r"\1", found.message)
+    grown = flexfmu.simulate([flexfmu.slave(slide, parameters={"k": 1e4})], stop_time=0.05, step=0.01)
+    assert re.search(r"at 0\.0355\d* s the model gives no finite number", grown.message)
     assert "one of these events happens again at once: side" in flexfmu.simulate(slide, stop_time=1.0, step=1.0).message
     assert found.recording.time[-1] == pytest.approx(9 * np.sqrt(2 / GRAVITY), abs=0.05)
 
