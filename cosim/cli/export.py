@@ -12,7 +12,6 @@ import typer
 
 from flexfmu.cosim.cli import console
 from flexfmu.cosim.engine.errors import FmuFileError
-from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.naming import Naming
 from flexfmu.fmu_build.toolchain import FmiVersion
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from flexfmu.cosim.engine.master.system import System
+    from flexfmu.cosim.engine.showing import ShowProgress
     from flexfmu.cosim.exchange.slave_export import ExportedSystem
     from flexfmu.fmu_build.build import BuiltFmu
 

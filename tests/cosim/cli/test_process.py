@@ -53,7 +53,7 @@ COMMAND = "from flexfmu.cosim.cli.main import app\ntry:\n    app({})\nexcept Sys
 @pytest.mark.parametrize(
     ("code", "heavy"),
     [
-        (COMMAND.format(["--help"]), HEAVY | {"numpy", "fmpy", "pydantic"}),
+        (COMMAND.format(["--help"]), HEAVY | {"numpy", "fmpy", "pydantic", "pydantic_core"}),
         (COMMAND.format(["run", SCENE, "--no-verify", "--json"]), HEAVY),
         (f"import flexfmu\nflexfmu.run({SCENE!r})", HEAVY),
     ],
