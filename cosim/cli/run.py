@@ -63,7 +63,7 @@ def run(
         formats (--format NAME): Format of the recorded signals: csv, parquet, mat (MATLAB) or mcap (Foxglove, PlotJuggler); may
             be repeated. Default: csv.
         yes: Run however large the results are. Default: refuse more than 2 GB, companion included.
-        accuracy (METRIC=VALUE): Largest error of this metric, of model and numerics together: relative, peak_torque_1=1e-3, or
+        accuracy (METRIC=VALUE): Largest error of this metric, of model and numerics together: relative, peak_torque_1=1e-3 or 0.1%, or
             absolute, end_position_error='1 um'; may be repeated. Effects, communication step, integrator and tolerance are chosen
             for it. Default: those of the scene.
         output (-o, --output FILE.toml): Write the scene with the chosen settings here. Default: nowhere.

@@ -18,7 +18,7 @@ _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\
 
 
 def asked_of(options: Sequence[str]) -> dict[str, float | str]:
-    """Return metric → error from ``METRIC=VALUE``, a number for a relative error, text with a unit for an absolute one.
+    """Return metric → error from ``METRIC=VALUE``, a number or a percentage for a relative error, text with a unit for an absolute one.
 
     Raises:
         InputError: one has another form.
@@ -31,7 +31,7 @@ def asked_of(options: Sequence[str]) -> dict[str, float | str]:
                 f"--accuracy takes METRIC=VALUE, peak_torque_1=1e-3 or end_position_error='1 um', got {text!r}"
             )
         number, unit = quantity_of(value, name)
-        found[name] = value if unit else number
+        found[name] = number / 100.0 if unit == "%" else value if unit else number
     return found
 
 

@@ -16,6 +16,7 @@ from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.design.effects.accuracy import Chooser, accuracy_answer, chosen_over, with_answer
 from flexfmu.cosim.design.effects.estimator import with_set
 from flexfmu.cosim.design.effects.runs import SceneRuns
+from flexfmu.cosim.experiment.accuracy import asked_of
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.studies.sweep.cases import Cases
@@ -110,6 +111,15 @@ def test_relative_errors_are_between_zero_and_one(scene_6kg: Scene, value: float
     """And the message names the key."""
     with pytest.raises(flexfmu.SceneError, match=r"accuracy\.peak_torque_1"):
         scene_6kg.replace({"accuracy": {"peak_torque_1": value}})
+
+
+def test_relative_errors_may_be_percentages() -> None:
+    """On the command line; the scene has numbers."""
+    assert asked_of(["peak_torque_1=0.1%", "peak_torque_2 = 1e-3", "end_position_error=1 um"]) == {
+        "peak_torque_1": 1e-3,
+        "peak_torque_2": 1e-3,
+        "end_position_error": "1 um",
+    }
 
 
 def test_an_empty_table_asks_for_nothing(scene_6kg: Scene) -> None:
