@@ -200,6 +200,7 @@ def _study(
     """Measure, write the results, and print them; the exit status."""
     from flexfmu.benchmarks.peers.compiled_peer import compiled_trials
     from flexfmu.benchmarks.peers.exudyn_trials import exudyn_trials
+    from flexfmu.cosim.design.effects.accuracy import check_figures
     from flexfmu.cosim.many.journal import WorkJournal, about_scene
     from flexfmu.cosim.studies.workprec.figures import html, save_figures
     from flexfmu.cosim.studies.workprec.study import (
@@ -220,6 +221,7 @@ def _study(
         raise InputError(f"--only takes {', '.join(FAMILIES)}, got {unknown[0]}")
     # measure, and write each file as soon as it is known
     scene = load_resolved(source, settings)
+    check_figures(scene, dict.fromkeys(metrics, 1.0), "--of")
     folder = prepared_folder(out or usual_folder(scene.name, settings) / "workprec")
     about = about_scene(scene) | ({"of": list(metrics)} if metrics else {})
     journal = WorkJournal(folder.path, "study", about, restart=restart, note=show_note)

@@ -21,7 +21,7 @@ def asked_of(options: Sequence[str]) -> dict[str, float | str]:
     """Return metric → error from ``METRIC=VALUE``, a number or a percentage for a relative error, text with a unit for an absolute one.
 
     Raises:
-        InputError: one has another form.
+        InputError: one has another form, or two name the same metric.
     """
     found: dict[str, float | str] = {}
     for text in options:
@@ -30,6 +30,8 @@ def asked_of(options: Sequence[str]) -> dict[str, float | str]:
             raise InputError(
                 f"--accuracy takes METRIC=VALUE, peak_torque_1=1e-3 or end_position_error='1 um', got {text!r}"
             )
+        if name in found:
+            raise InputError(f"--accuracy names {name} twice; give one error for it")
         number, unit = quantity_of(value, name)
         found[name] = number / 100.0 if unit == "%" else value if unit else number
     return found

@@ -120,6 +120,8 @@ def test_relative_errors_may_be_percentages() -> None:
         "peak_torque_2": 1e-3,
         "end_position_error": "1 um",
     }
+    with pytest.raises(flexfmu.Error, match="peak_torque_1 twice"):
+        asked_of(["peak_torque_1=1e-3", "peak_torque_1=1e-4"])
 
 
 def test_an_empty_table_asks_for_nothing(scene_6kg: Scene) -> None:
