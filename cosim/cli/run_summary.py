@@ -14,6 +14,7 @@ from rich.text import Text
 from flexfmu.cosim.cli.console import files_sentence, print_rich
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import shown_unit
+from flexfmu.cosim.experiment.accuracy import rounded_up
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, DRIVE_METRICS, definition, display, display_error
 from flexfmu.cosim.reports.summary import motor_rows, stress_rows, title_of
 from flexfmu.cosim.reports.terminal import titled_table
@@ -99,7 +100,7 @@ def _metrics_table(
         error = errors[name]
         cells = display(name, value, error=error), display_error(name, value, error)
         if error is not None and name in proven:
-            cells = display(name, value, error=error / 20.0), f"{definition(name).displayed(error):.2g}"
+            cells = display(name, value, error=error / 20.0), f"{rounded_up(definition(name).displayed(error)):.2g}"
         table.add_row(ALL_METRICS[name].label, name, *cells[: len(heads)])
     return table
 

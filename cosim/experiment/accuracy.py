@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from html import escape
+from math import ceil, floor, inf, log10
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,14 @@ def quantity_of(text: str, name: str) -> tuple[float, str]:
     return float(match[1]), match[2]
 
 
+def rounded_up(error: float) -> float:
+    """The smallest number of two digits that is at least a bound of an error."""
+    if not 0.0 < error < inf:
+        return error
+    last = 10.0 ** (floor(log10(error)) - 1)
+    return ceil(error / last * (1.0 - 1e-12)) * last
+
+
 def excess(share: float) -> str:
     """How far an error is beyond what is allowed, in words, of its share of that."""
     return f"by a factor of {share:.3g}" if share >= 1.1 else f"by {100.0 * (share - 1.0):.2g} %"
@@ -89,7 +98,7 @@ class FigureError:
             return f"{error / scale:.1e} {unit}".rstrip()
 
         return (
-            f"{self.name}: error at most {text(self.total)} of {abs(self.value) / (scale if unit else 1.0):.4g} "
+            f"{self.name}: error at most {text(rounded_up(self.total / scale) * scale)} of {abs(self.value) / (scale if unit else 1.0):.4g} "
             f"{unit or shown_unit(self.unit)} (asked {self.asked}; model {text(self.model)}, numerics {text(self.numerics)} of either sign, "
             f"richest model known to {text(self.reference)})"
         )

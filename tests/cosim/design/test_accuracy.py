@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import flexfmu
@@ -16,7 +18,7 @@ from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.design.effects.accuracy import Chooser, accuracy_answer, chosen_over, with_answer
 from flexfmu.cosim.design.effects.estimator import with_set
 from flexfmu.cosim.design.effects.runs import SceneRuns
-from flexfmu.cosim.experiment.accuracy import asked_of
+from flexfmu.cosim.experiment.accuracy import asked_of, rounded_up
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.studies.sweep.cases import Cases
@@ -122,6 +124,13 @@ def test_relative_errors_may_be_percentages() -> None:
     }
     with pytest.raises(flexfmu.Error, match="peak_torque_1 twice"):
         asked_of(["peak_torque_1=1e-3", "peak_torque_1=1e-4"])
+
+
+@given(st.floats(1e-30, 1e30))
+def test_printed_bounds_are_bounds(error: float) -> None:
+    """Two digits never state less than is known, and at most a tenth more."""
+    printed = float(f"{rounded_up(error):.2g}")
+    assert error * (1.0 - 1e-9) <= printed <= 1.1 * error * (1.0 + 1e-9)
 
 
 def test_an_empty_table_asks_for_nothing(scene_6kg: Scene) -> None:
