@@ -156,7 +156,7 @@ def drawn(examples: int) -> settings:
 
 
 @pytest.mark.slow
-@drawn(5)
+@drawn(3)
 @given(scenes())
 def test_a_drawn_scene_runs(scene: Scene) -> None:
     """Other lengths, materials, modes, gravities, blends and profiles give finite metrics, damped or not."""
