@@ -94,13 +94,17 @@ class FigureError:
         number, unit = quantity_of(self.asked, self.name)
         scale = self.allowed / number  # of what was asked for, in its unit
 
+        total, model, numerics, known = (
+            each / scale for each in (self.total, self.model, self.numerics, self.reference)
+        )
+
         def text(error: float) -> str:
-            return f"{error / scale:.1e} {unit}".rstrip()
+            return f"{error:.1e} {unit}".rstrip()
 
         return (
-            f"{self.name}: error at most {text(rounded_up(self.total / scale) * scale)} of {abs(self.value) / (scale if unit else 1.0):.4g} "
-            f"{unit or shown_unit(self.unit)} (asked {self.asked}; model {text(self.model)}, numerics {text(self.numerics)} of either sign, "
-            f"richest model known to {text(self.reference)})"
+            f"{self.name}: error at most {text(rounded_up(total))} of {abs(self.value) / (scale if unit else 1.0):.4g} "
+            f"{unit or shown_unit(self.unit)} (asked {self.asked}; model {text(model)}, numerics {text(numerics)} of either sign, "
+            f"richest model known to {text(known)})"
         )
 
 

@@ -399,6 +399,7 @@ flex_failure flex_plant_need_outputs(flex_plant *plant) {
   const flex_integrator *integrator = &plant->integrator;
   if (flex_plant_has(plant, FLEX_HAVE_OUTPUTS)) return outcome_now(plant, FLEX_DONE, 0.0);
   flex_failure failure = flex_plant_need_acceleration(plant);
+  // whoever asked for rates of the last outputs gets those of these along with them: together they cost less
   if (plant->model->rates_share && plant->rates_come_along && failure.outcome == FLEX_DONE) flex_plant_need_rates(plant, 1);
   plant->rates_come_along = 0;
   if (failure.outcome != FLEX_DONE || (plant->record->have & FLEX_HAVE_OUTPUTS)) return failure;
