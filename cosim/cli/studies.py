@@ -72,8 +72,8 @@ def compare(
         out (DIR): Write comparison.html and comparison.json there. Default: nowhere.
     """
     from flexfmu.cosim.design.gains.robustness import parse_band
+    from flexfmu.cosim.engine.measured import parse_mapping
     from flexfmu.cosim.studies.compare.comparison import compare_runs
-    from flexfmu.cosim.studies.compare.measured import parse_mapping
     from flexfmu.cosim.studies.compare.sources import compared_runs, given_sources
 
     if sandbox:

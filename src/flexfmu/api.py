@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     from flexfmu.cosim.design.gains.tuner import TuneResult
     from flexfmu.cosim.design.margins.scene_margins import MarginsResult
     from flexfmu.cosim.design.plans.planner import PlanResult
+    from flexfmu.cosim.engine.measured import Log
     from flexfmu.cosim.experiment.accuracy import AccuracyAnswer
     from flexfmu.cosim.reports.modes_table import ModesAlongPath
     from flexfmu.cosim.studies.compare.comparison import Comparison
-    from flexfmu.cosim.studies.compare.measured import Log
     from flexfmu.cosim.studies.sweep.result import SweepResult
     from flexfmu.trajectories.sources import OwnMotion
     from flexfmu.trajectories.trajectory import Trajectory
@@ -216,8 +216,8 @@ def compare(
         InputError: a folder has no results, a column or signal doesn't exist, or the delay can't be estimated.
         ResultsError: a file can't be read, or a run failed.
     """
+    from flexfmu.cosim.engine.measured import as_mapped
     from flexfmu.cosim.studies.compare.comparison import compare_runs
-    from flexfmu.cosim.studies.compare.measured import as_mapped
     from flexfmu.cosim.studies.compare.sources import compared_runs
 
     if parts:

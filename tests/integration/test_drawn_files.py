@@ -22,11 +22,11 @@ from hypothesis import strategies as st
 
 import flexfmu
 from flexfmu.cosim.engine.fmu.file import open_fmu
+from flexfmu.cosim.engine.measured import read_log
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.exchange.ssp.archive import SspArchive
 from flexfmu.cosim.exchange.ssp.export import export_ssp
 from flexfmu.cosim.exchange.ssp.structure import read_structure
-from flexfmu.cosim.studies.compare.measured import read_log
 from flexfmu.cosim.studies.sweep.cases import read_cases
 from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.scene.file import load_scene, shipped_scenes

@@ -13,16 +13,7 @@ import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import to_json, write_whole
-from flexfmu.cosim.engine.results import USUAL, Recording
-from flexfmu.cosim.engine.showing import Rows, few_lines, html_table, shown_unit
-from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.metric import Metric
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition
-from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE, Curve, Panel, thinned
-from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun, loop_tables, metrics_table, render_comparison
-from flexfmu.cosim.reports.page import Plot, Table
-from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
-from flexfmu.cosim.studies.compare.measured import (
+from flexfmu.cosim.engine.measured import (
     Delay,
     Difference,
     Log,
@@ -34,6 +25,15 @@ from flexfmu.cosim.studies.compare.measured import (
     estimate_delay,
     read_log,
 )
+from flexfmu.cosim.engine.results import USUAL, Recording
+from flexfmu.cosim.engine.showing import Rows, few_lines, html_table, shown_unit
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.metric import Metric
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition
+from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE, Curve, Panel, thinned
+from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun, loop_tables, metrics_table, render_comparison
+from flexfmu.cosim.reports.page import Plot, Table
+from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 
 POINTS, FEWEST = 12000, 40
 """Number of points that all curves of measured signals have together, and of one curve at least: they limit the size of the page."""

@@ -17,6 +17,7 @@ from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, fail
 from flexfmu.cosim.design.gains.trial import UnstableLoopError, loop_margins, margin_figures
 from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError, SignalFileError
 from flexfmu.cosim.engine.files import file_digest
+from flexfmu.cosim.engine.measured import tell_odd
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.experiment.metric import Metric
@@ -26,7 +27,6 @@ from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, metric
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun
-from flexfmu.cosim.studies.compare.measured import tell_odd
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import parse_setting, split_values

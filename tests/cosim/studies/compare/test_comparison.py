@@ -19,12 +19,12 @@ from flexfmu.cosim.design.gains.robustness import band_masses, parse_band
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import file_digest
 from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.engine.measured import TimedValues, correlation, difference, estimate_delay
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metrics import measure_run, metrics_of
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.cosim.studies.compare.comparison import Comparison
-from flexfmu.cosim.studies.compare.measured import TimedValues, correlation, difference, estimate_delay
 from flexfmu.model.scene.errors import SceneError
 
 MakeRun = Callable[..., Run]

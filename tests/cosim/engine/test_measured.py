@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 import flexfmu
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import DataWarning, InputError, ResultsError
+from flexfmu.cosim.engine.measured import Mapped, as_mapped, parse_mapping, read_log
 from flexfmu.cosim.engine.results import Column, Recording
-from flexfmu.cosim.studies.compare.measured import Mapped, as_mapped, parse_mapping, read_log
 from flexfmu.cosim.studies.compare.sources import compared_runs
 
 SIGNALS = {"joint1.torque": "N.m", "joint1.position": "rad", "link11.bending[1]": "m"}
