@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,12 @@ INFLUENCE = 1e-6
 """Smallest change of an unknown, relative to its size, that proves a dependency; above rounding and iteration errors."""
 
 MOST_KNOWNS = 100
+
+TICK = 3
+"""The tick at which clocked inputs change."""
+
+LARGE = (0.0, 10.0, -100.0, 1000.0)
+"""Sizes of these changes relative to those of other checks."""
 
 _LINEAR = {"constant", "fixed", "tunable", "discrete"}
 """Values of dependenciesKind for which the unknown is linear in the known."""
@@ -70,6 +77,28 @@ def initial_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
         for finding in _violations(unknowns, knowns, instance, set()):
             message, remedy = f"in Initialization Mode {finding.message}", "declare it in InitialUnknowns"
             yield Finding(message, remedy, Severity.WARNING, finding.subject, check="dependencies of variables")
+
+
+def clocked_outputs_are_up_to_date(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Check that clocked outputs that depend on inputs by their declaration follow those of the same tick, not of the one before."""
+    outputs = [
+        unknown.variable
+        for unknown in fmu.description.outputs
+        if unknown.variable.clocks
+        and unknown.variable.type == "Real"
+        and {*fmu.inputs} & {*(unknown.dependencies or ())}
+    ]
+    if not outputs:
+        return
+    now, then = list[RealArray](), list[RealArray]()
+    for size in LARGE:
+        with fmu.initialized("ticks") as instance:
+            instance.advance(0, TICK)
+            instance.advance(TICK, TICK + 1, size, lambda: now.append(instance.get(outputs)))
+            then.append(instance.get(outputs))
+    for variable in compress(outputs, (np.ptp(now, axis=0) == 0.0) & (np.ptp(then, axis=0) > 0.0)):
+        message = f"{variable.name} follows an input only at the tick after it, though its dependencies name it"
+        yield Finding(message, "update it at the tick, or leave the input out", Severity.WARNING, variable.name)
 
 
 def answers(

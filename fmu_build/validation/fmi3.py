@@ -1,6 +1,8 @@
 """FMUs of FMI 3.0 in the words of FMI 2.0, so that the same checks run both: a description, and the functions of a library.
 
-Left out are arrays, Float32, binary and clocked variables, event mode and early return of co-simulation, and scheduled execution.
+Co-simulation uses event mode where the FMU has clocks: communication points are ticks of the fastest one, at which its variables are
+set and read. Left out are arrays, Float32, binary variables, other clocked ones, clocks in model exchange and those whose intervals the
+description doesn't state, event mode without clocks, early return, and scheduled execution.
 """
 
 from __future__ import annotations
@@ -19,13 +21,17 @@ from fmpy import fmi2, fmi3
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import read_model_description
 
+from flexfmu.fmu_build.fmi_clock import PERIODIC, TRIGGERED, read_clocks
 from flexfmu.fmu_build.validation.finding import Finding
-from flexfmu.fmu_build.validation.instance import MisbehaviourError, Watched
+from flexfmu.fmu_build.validation.instance import MisbehaviourError, Watched, settled
 
 _TYPES = {"Float64": "Real", "Boolean": "Boolean", "String": "String", "Enumeration": "Enumeration"} | {
     f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)
 }
 """Type of FMI 3.0 → type of FMI 2.0."""
+
+_NEAR = 1e-6
+"""Rounding of instants, relative to intervals and steps."""
 
 _NAMES = {
     "GetReal": "GetFloat64",
@@ -60,7 +66,11 @@ def described(folder: Path) -> Any:
     for element in filter(None, (description.coSimulation, description.modelExchange)):
         element.providesDirectionalDerivative = type(element).__name__ in claims
     # scalars of the types that there are in FMI 2.0
-    kept = [v for v in description.modelVariables if v.type in _TYPES and not v.dimensions and not v.clocks]
+    clocks = _clocks(description, root)
+    fastest = min((interval for interval, _ in clocks.values()), default=0.0), 0.0
+    ticking = {each for each, timing in clocks.items() if timing == fastest}
+    kept = [v for v in description.modelVariables if v.type in _TYPES and not v.dimensions]
+    kept = [v for v in kept if not v.clocks or ticking & {clock.valueReference for clock in v.clocks}]
     types = {variable.valueReference: variable.type for variable in kept}
     for variable in kept:
         variable.type = _TYPES[variable.type]
@@ -71,13 +81,31 @@ def described(folder: Path) -> Any:
         # states are set all together: without one of them there is none
         setattr(description, name, known if name != "derivatives" or len(known) == len(unknowns) else [])
     description.modelVariables = kept
-    return SimpleNamespace(**asdict(description, recurse=False), guid=description.guid, fmiMajorVersion=3, types=types)
+    more = {"guid": description.guid, "fmiMajorVersion": 3, "types": types, "clocks": clocks}
+    return SimpleNamespace(**asdict(description, recurse=False), **more)
+
+
+def _clocks(description: Any, root: ElementTree.Element) -> dict[int, tuple[float, float]]:
+    """Value reference → interval and shift [s] of the time-based clocks; empty if one has no stated interval, or without event mode."""
+    if description.modelExchange or not getattr(description.coSimulation, "hasEventMode", False):
+        return {}
+    found = [each for each in read_clocks(root) if not each.is_output and each.variability != TRIGGERED]
+    timing = {
+        each.reference: (each.interval, each.shift) for each in found if each.variability in PERIODIC and each.interval
+    }
+    return timing if len(timing) == len(found) else {}
 
 
 class _FMU3(Watched, fmi3._FMU3):  # type: ignore[misc]
-    """The functions that both interfaces have, called as those of FMI 2.0; ``types``: value reference → type of FMI 3.0."""
+    """The functions that both interfaces have, called as those of FMI 2.0.
+
+    Attributes:
+        types: value reference → type of FMI 3.0.
+        clocks: value reference → interval and shift [s] of the clocks that tick.
+    """
 
     types: dict[int, str]
+    clocks: dict[int, tuple[float, float]]
 
     def setupExperiment(self, **experiment: Any) -> None:
         self._experiment = experiment
@@ -111,24 +139,59 @@ class _FMU3(Watched, fmi3._FMU3):  # type: ignore[misc]
 
 
 class FMU3SlaveLibrary(_FMU3, fmi3.FMU3Slave):  # type: ignore[misc]
-    """The functions for co-simulation, without event mode and early return."""
+    """The functions for co-simulation, without early return; with clocks, Event Mode lasts from the end of a step to the next one."""
 
     _terminates, _last = False, math.nan
 
     def make(self, name: bytes, token: bytes, resources: bytes, log: Any) -> Any:
-        update = fmi3.fmi3IntermediateUpdateCallback()
+        update, none = fmi3.fmi3IntermediateUpdateCallback(), (fmi3.fmi3ValueReference * 0)()
+        events = bool(self.clocks)
         return self.fmi3InstantiateCoSimulation(
-            name, token, resources, False, False, False, False, (fmi3.fmi3ValueReference * 0)(), 0, None, log, update
+            name, token, resources, False, False, events, False, none, 0, None, log, update
         )
 
     def doStep(self, time: float, length: float) -> None:
         """Make a step; raises `FMICallException` with fmi3Discard where the FMU terminates the simulation, as in FMI 2.0."""
-        self._terminates = False
-        _, self._terminates, early, self._last = super().doStep(time, length)
-        if early and not self._terminates:
-            raise MisbehaviourError("fmi3DoStep returns early, though it must not", "make the whole step")
+        self._terminates, until, end = False, time, time + length
+        while True:
+            time, until = until, self._leave_event_mode(until, end) if self.clocks else end
+            _, self._terminates, early, self._last = super().doStep(time, until - time)
+            if self._terminates:
+                raise FMICallException("fmi3DoStep", fmi3.fmi3Discard)
+            if early:
+                raise MisbehaviourError("fmi3DoStep returns early, though it must not", "make the whole step")
+            if self.clocks:
+                self.enterEventMode()
+                self._tick(until)
+            if until == end:
+                return
+
+    def exitInitializationMode(self) -> None:
+        super().exitInitializationMode()
+        self._tick(self._experiment["startTime"])
+
+    def _tick(self, time: float) -> None:
+        """Activate the clocks that tick at ``time``, in Event Mode."""
+        due = [each for each in self.clocks if (n := self._ticks(each, time)) >= 0.0 and n % 1.0 < 2.0 * _NEAR]
+        if due:
+            self.setClock(due, [True] * len(due))
+
+    def _ticks(self, clock: int, time: float) -> float:
+        """Intervals from a clock's first tick to ``time`` and `_NEAR`; below 0 before it."""
+        interval, shift = self.clocks[clock]
+        return float(time - self._experiment["startTime"] - shift) / interval + _NEAR
+
+    def _leave_event_mode(self, time: float, end: float) -> float:
+        """Leave Event Mode; return the first instant from ``time`` to ``end`` at which a clock ticks or the FMU announces an event."""
+        self._terminates, event = settled(self)
         if self._terminates:
-            raise FMICallException("fmi3DoStep", fmi3.fmi3Discard)
+            raise FMICallException("fmi3UpdateDiscreteStates", fmi3.fmi3Discard)
+        self.enterStepMode()
+        event = event if event > time else math.inf
+        for each, (interval, shift) in self.clocks.items():
+            tick = max(0, math.floor(self._ticks(each, time)) + 1) * interval + shift
+            event = min(event, self._experiment["startTime"] + tick)
+        return event if event < end - _NEAR * (end - time) else end
 
     def getBooleanStatus(self, kind: int) -> bool:
         return bool(kind == fmi2.fmi2Terminated and self._terminates)

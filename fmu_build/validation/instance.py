@@ -414,18 +414,25 @@ class ExchangeInstance(InstanceUnderTest):
         Raises:
             MisbehaviourError: the event iteration does not converge.
         """
-        for _ in range(_MOST_EVENT_ITERATIONS):
-            needed, self.finished, _, _, defined, time = self.library.newDiscreteStates()
-            if self.finished:
-                return
-            if not needed:
-                self.next_event = time if defined else np.inf
-                self.library.enterContinuousTimeMode()
-                return
-        raise MisbehaviourError(
-            f"fmi2NewDiscreteStates wants more than {_MOST_EVENT_ITERATIONS} iterations",
-            "let newDiscreteStatesNeeded become fmi2False",
-        )
+        self.finished, self.next_event = settled(self.library)
+        if not self.finished:
+            self.library.enterContinuousTimeMode()
+
+
+def settled(library: Any) -> tuple[bool, float]:
+    """Iterate events in Event Mode; return whether the FMU terminates the simulation, and its next time event [s] or infinity.
+
+    Raises:
+        MisbehaviourError: the event iteration does not converge.
+    """
+    for _ in range(_MOST_EVENT_ITERATIONS):
+        needed, finished, _, _, defined, time = library.newDiscreteStates()
+        if finished or not needed:
+            return bool(finished), time if defined else np.inf
+    raise MisbehaviourError(
+        f"fmi2NewDiscreteStates wants more than {_MOST_EVENT_ITERATIONS} iterations",
+        "let newDiscreteStatesNeeded become fmi2False",
+    )
 
 
 def _table(rows: list[RealArray], width: int) -> RealArray:

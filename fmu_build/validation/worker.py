@@ -70,12 +70,21 @@ CHECKS: dict[str, Check] = {
     "event indicators": exchange.event_indicators_are_given,
     "dependencies of variables": dependencies.declared_dependencies_hold,
     "initial dependencies": dependencies.initial_dependencies_hold,
+    "clocked outputs": dependencies.clocked_outputs_are_up_to_date,
     "interfaces": exchange.interfaces_agree,
     "calls": lifecycle.refuses_illegal_calls,
 }
 """Name of the finding → check. A check that doesn't apply to the FMU yields nothing; if the first fails, the others can't run."""
 
-SLAVE_ONLY = ["rates", "variable step", "time", "last successful time", "input derivatives", "output derivatives"]
+SLAVE_ONLY = [
+    "rates",
+    "variable step",
+    "time",
+    "last successful time",
+    "input derivatives",
+    "output derivatives",
+    "clocked outputs",
+]
 EXCHANGE_ONLY = ["derivatives", "states", "integrator steps", "time events", "event indicators", "interfaces"]
 """The checks that are for one interface."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Callable, Iterator
 from ctypes import c_bool, c_uint
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import fmpy
 import numpy as np
 import pytest
 from boundary_support.subjects import scene
-from export_support.blocks import pd_controller
+from export_support.blocks import delay, pd_controller
 from export_support.trajectories import Swing
 from fmpy.fmi3 import FMU3Slave
 from lxml import etree
@@ -24,10 +25,13 @@ from flexfmu.cosim.engine.master.simulator import Simulation, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.exchange.slave_export import export_slaves
 from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.fmu_build.archive import pack
 from flexfmu.fmu_build.build import build_fmu
+from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.description import TERMINALS
-from flexfmu.fmu_build.sources import BUILD_DESCRIPTION, runtime_sources
-from flexfmu.fmu_build.toolchain import FmiVersion
+from flexfmu.fmu_build.experiment import DefaultExperiment
+from flexfmu.fmu_build.sources import BUILD_DESCRIPTION, generate_sources, runtime_sources
+from flexfmu.fmu_build.toolchain import FmiVersion, find_compiler, native_platform
 from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.fmu_build.validation.validate import validate_fmu
 
@@ -281,6 +285,36 @@ def test_blocks_sample_at_ticks(tmp_path: Path) -> None:
     with pytest.raises(fmpy.fmi1.FMICallException, match="error"):
         output(1.0)
     slave.freeInstance()
+
+
+SPOILT = {
+    "clocked outputs": ("int is_known = ", "int is_known = 0 && "),
+    "inputs in the state": (
+        "= arena->used - begin;",
+        "= (size_t)((char *)block->inputs.coefficients - (char *)block->record);",
+    ),
+    "simulation": ('intervalDecimal="0.001"', 'intervalDecimal="0.0015"'),
+}
+"""Check → what replaces what in the C code or the description of a block, so that the check finds it."""
+
+
+@pytest.mark.slow
+def test_clocked_variables_are_validated(tmp_path: Path) -> None:
+    """What is spoilt is found; a clock with an offset, whose ticks lie within the steps, is no fault."""
+    assert validate_fmu(build_fmu(delay(offset=4e-4), stop_time=0.02, fmi="3").path) == []
+    platform = native_platform()
+    sources = generate_sources(pd_controller(), DefaultExperiment(stop_time=0.02), fmi="3")
+    for check, change in SPOILT.items():
+        code = sources.runtime["block.c"].replace(*change)
+        spoilt = replace(
+            sources, description=sources.description.replace(*change), runtime=sources.runtime | {"block.c": code}
+        )
+        binary = compile_library(spoilt, find_compiler(platform))
+        library = f"binaries/{platform.folder('3')}/{sources.model_identifier}{platform.suffix}"
+        path = tmp_path / "spoilt.fmu"
+        path.write_bytes(pack({"modelDescription.xml": spoilt.description.encode(), library: binary}))
+        assert spoilt != sources
+        assert check in {each.check for each in validate_fmu(path)}
 
 
 LEGAL = {

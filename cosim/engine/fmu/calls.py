@@ -37,9 +37,6 @@ OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 DO_STEP_STATUS, LAST_SUCCESSFUL_TIME, TERMINATED = 0, 2, 3
 """Values of fmi2StatusKind: fmi2DoStepStatus, fmi2LastSuccessfulTime, fmi2Terminated."""
 
-PERIODIC, TRIGGERED = ("constant", "fixed", "tunable"), "triggered"
-"""Values of intervalVariability of clocks; others are changing and countdown."""
-
 INTERVAL_CHANGED = 2
 """Value fmi3IntervalChanged of fmi3IntervalQualifier."""
 

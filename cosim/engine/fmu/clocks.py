@@ -8,68 +8,20 @@ changes, from 0 at the start.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from ctypes import byref, c_bool, c_double, c_int, c_uint
-from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
 from math import inf
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
-from flexfmu.cosim.engine.fmu.calls import INTERVAL_CHANGED, OK, PERIODIC, TRIGGERED, FmuMode
+from flexfmu.cosim.engine.fmu.calls import INTERVAL_CHANGED, OK, FmuMode
 from flexfmu.cosim.engine.fmu.exchange import MOST_ROUNDS
 from flexfmu.cosim.engine.fmu.variables import Handle
 from flexfmu.cosim.engine.slave import RealArray, SlaveVariable
-
-
-@dataclass(frozen=True)
-class FmiClock:
-    """A clock as its model description states it.
-
-    Attributes:
-        reference: value reference.
-        variability: intervalVariability.
-        is_output: whether it is an output.
-        interval, shift: interval of a periodic clock, None if only the FMU knows it, and time from the start to its first tick [s].
-        priority: clocks with the least number tick first in scheduled execution.
-    """
-
-    reference: int
-    variability: str
-    is_output: bool
-    interval: float | None
-    shift: float
-    priority: int
-
-
-def read_clocks(root: ElementTree.Element) -> tuple[FmiClock, ...]:
-    """Return the input and output clocks of a model description.
-
-    Raises:
-        ValueError: an attribute isn't a number.
-    """
-    types = {each.get("name"): each.attrib for each in root.iterfind("TypeDefinitions/ClockType")}
-    found = []
-    for element in root.iterfind("ModelVariables/Clock"):
-        stated: Mapping[str, str] = {**types.get(element.get("declaredType"), {}), **element.attrib}
-        # as a fraction where there is one, which has less rounding
-        resolution = int(stated.get("resolution", 0))
-        interval, shift = (
-            int(stated[f"{name}Counter"]) / resolution
-            if resolution and f"{name}Counter" in stated
-            else float(stated[f"{name}Decimal"])
-            if f"{name}Decimal" in stated
-            else None
-            for name in ("interval", "shift")
-        )
-        if (causality := stated.get("causality")) in ("input", "output"):
-            variability, priority = stated["intervalVariability"], int(stated.get("priority", 0))
-            reference = int(stated["valueReference"])
-            found.append(FmiClock(reference, variability, causality == "output", interval, shift or 0.0, priority))
-    return tuple(found)
+from flexfmu.fmu_build.fmi_clock import PERIODIC, TRIGGERED, FmiClock
 
 
 class Clocks:

@@ -27,12 +27,11 @@ import fmpy
 from fmpy.model_description import Item, SimpleType, read_model_description
 
 from flexfmu.cosim.engine.errors import FmuFileError
-from flexfmu.cosim.engine.fmu.calls import PERIODIC
-from flexfmu.cosim.engine.fmu.clocks import FmiClock, read_clocks
 from flexfmu.cosim.engine.fmu.variables import flattened, structural_sizes
 from flexfmu.fmu_build.archive import open_archive
 from flexfmu.fmu_build.choices import ANNOTATION
 from flexfmu.fmu_build.errors import ArchiveError
+from flexfmu.fmu_build.fmi_clock import PERIODIC, FmiClock, read_clocks
 from flexfmu.fmu_build.interface import FIRST_DERIVATIVES
 from flexfmu.fmu_build.naming import NAMES
 from flexfmu.fmu_build.temporary import temporary_folder

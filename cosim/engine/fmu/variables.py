@@ -22,8 +22,9 @@ from attrs import asdict, define, evolve
 from fmpy.model_description import ModelVariable, Unknown
 
 from flexfmu.cosim.engine.errors import InputError, suggestion
-from flexfmu.cosim.engine.fmu.calls import FMI3, TRIGGERED
+from flexfmu.cosim.engine.fmu.calls import FMI3
 from flexfmu.cosim.engine.slave import TEXTS, Causality, SlaveVariable
+from flexfmu.fmu_build.fmi_clock import TRIGGERED
 
 Value = float | int | bool | str
 """Value of a parameter; for an enumeration or a numbered choice also the item's name."""
