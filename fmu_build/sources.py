@@ -18,7 +18,7 @@ from flexfmu.fmu_build.interface import build_interface, find_states
 from flexfmu.fmu_build.naming import Naming, named, namer
 from flexfmu.fmu_build.picture import plant_picture
 from flexfmu.fmu_build.templating import render
-from flexfmu.fmu_build.toolchain import COMMON_FLAGS, FMI_HEADERS, FmiVersion, fmi_header_folder
+from flexfmu.fmu_build.toolchain import COMMON_FLAGS, FMI_HEADERS, SOLVER_FOLDERS, FmiVersion, fmi_header_folder
 from flexfmu.fmu_build.trajectory_build import Motion, motion_content
 from flexfmu.model.symbolic import SharedLibrary, SymbolicBlock, SymbolicModel
 
@@ -35,10 +35,10 @@ OPTIONS = ("-O2", *COMMON_FLAGS)
 """Options for GCC and Clang that reproduce the numbers of the binaries; other compilers only need C99."""
 
 _FOLDERS: Mapping[str, tuple[str, ...]] = {
-    "plant": ("base", "inputs", "math", "lanes", "solver", "plant"),
+    "plant": (*SOLVER_FOLDERS, "plant"),
     "block": ("base", "inputs", "math", "block"),
     "trajectory": ("base", "math", "trajectory"),
-    "batch": ("base", "inputs", "math", "lanes", "solver", "batch"),
+    "batch": (*SOLVER_FOLDERS, "batch"),
     "elementary": ("math", "lanes"),
     "processor": ("lanes",),
 }

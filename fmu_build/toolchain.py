@@ -113,6 +113,9 @@ def find_platforms(names: Iterable[str] | None) -> tuple[Platform, ...]:
     return tuple(PLATFORMS[name] for name in wanted) or (native_platform(),)
 
 
+SOLVER_FOLDERS = ("base", "inputs", "math", "lanes", "solver")
+"""Folders of the C runtime that the solver needs."""
+
 RUNTIME_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
 """Flags for the hand-written runtime; only CI adds -Werror, since newer compilers have more warnings."""
 

@@ -23,7 +23,7 @@ FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fvisibility=
 SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 PATHS = {path.name: path for path in sorted(RUNTIME.glob("*/*.[ch]"))}
 INCLUDES = [f"-I{folder}" for folder in (*sorted(RUNTIME.iterdir()), fmi_header_folder()) if folder.is_dir()]
-SOURCES = [PATHS[name] for name in c_files(runtime_sources("plant"))]
+SOURCES = [PATHS[name] for name in (*c_files(runtime_sources("plant")), "exchange.c")]
 KINDS: tuple[RuntimeKind, ...] = ("plant", "block", "trajectory", "batch", "elementary")
 VERSIONS: tuple[FmiVersion, ...] = ("2", "3")
 NAMES = [

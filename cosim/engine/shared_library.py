@@ -1,6 +1,7 @@
 """C libraries of this package: compiled once on a machine, cached under the hash of sources and flags.
 
-A library that is in the cache needs no compiler, like an FMU that is there; a scene's FMU is built together with them.
+A library that is in the cache needs no compiler, like an FMU that is there; a scene's FMU is built together with those that runs of
+scenes need.
 """
 
 from __future__ import annotations
@@ -16,10 +17,14 @@ from flexfmu.fmu_build.c_header import structures, typed
 from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import BuildError
-from flexfmu.fmu_build.toolchain import COMMON_FLAGS, RUNTIME_FLAGS, find_compiler, native_platform
+from flexfmu.fmu_build.toolchain import COMMON_FLAGS, RUNTIME_FLAGS, SOLVER_FOLDERS, find_compiler, native_platform
 
-LIBRARIES = {"master": "flexfmu.cosim.engine.master", "metrics": "flexfmu.cosim.metrics"}
-"""Package of each library; its C files are in the folder ``c-<name>`` there."""
+LIBRARIES = {
+    "master": ("flexfmu.cosim.engine.master", "c-master"),
+    "metrics": ("flexfmu.cosim.metrics", "c-metrics"),
+    "exchange": ("flexfmu.fmu_build", *(f"c-runtime/{each}" for each in (*SOLVER_FOLDERS, "import"))),
+}
+"""Package of each library, and the folders of its C files there; the last one has the header of what it exports."""
 
 
 @cache
@@ -29,14 +34,20 @@ def c_structures(name: str) -> Mapping[str, Any]:
 
 
 def _header(name: str) -> str:
-    """The text of a library's headers."""
-    return "\n".join(text for file, text in sorted(_texts(name).items()) if file.endswith(".h"))
+    """The text of the headers with what a library exports."""
+    package, *_, last = LIBRARIES[name]
+    return "\n".join(text for file, text in sorted(_texts(package, last).items()) if file.endswith(".h"))
 
 
-def _texts(name: str) -> dict[str, str]:
+def library_texts(name: str) -> dict[str, str]:
     """File → text of a library's C files and headers."""
-    folder = files(LIBRARIES[name]).joinpath(f"c-{name}")
-    return {file.name: file.read_text(encoding="utf-8") for file in folder.iterdir() if file.name[-2:] in (".c", ".h")}
+    return _texts(*LIBRARIES[name])
+
+
+def _texts(package: str, *folders: str) -> dict[str, str]:
+    """File → text of the C files and headers of a package's folders."""
+    entries = (entry for folder in folders for entry in files(package).joinpath(folder).iterdir())
+    return {entry.name: entry.read_text(encoding="utf-8") for entry in entries if entry.name[-2:] in (".c", ".h")}
 
 
 @cache
@@ -49,7 +60,7 @@ def shared_library(name: str) -> Any:
     try:
         return typed(CDLL(str(library_file(name))), _header(name), c_structures(name))
     except OSError as error:
-        raise BuildError(f"can't load the library of {LIBRARIES[name]}/c-{name}: {error}") from None
+        raise BuildError(f"can't load the library {name} of {LIBRARIES[name][0]}: {error}") from None
 
 
 def library_file(name: str) -> Path:
@@ -58,7 +69,7 @@ def library_file(name: str) -> Path:
     Raises:
         BuildError: it can't be compiled.
     """
-    platform, texts = native_platform(), _texts(name)
+    platform, texts = native_platform(), library_texts(name)
     parts = (platform.name, *COMMON_FLAGS, *RUNTIME_FLAGS, *(text for _, text in sorted(texts.items())))
     file = f"{name}/{content_hash(part.encode() for part in parts)}{platform.suffix}"
     if (path := cached(file)) is not None:

@@ -1,4 +1,4 @@
-"""FMUs for model exchange of FMI 2.0 as FMUs for co-simulation: the original library with the master's integrator around it.
+"""FMUs for model exchange of FMI 2.0 as FMUs for co-simulation: the original library with our integrator around it.
 
 Variables, value references and everything else of the FMU stay as they are.
 """
@@ -15,16 +15,11 @@ from xml.etree import ElementTree
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.exchange import TOLERANCE
 from flexfmu.cosim.engine.fmu.file import UnpackedFmu, open_fmu, parsed
-from flexfmu.cosim.engine.shared_library import LIBRARIES
+from flexfmu.cosim.engine.shared_library import library_texts
 from flexfmu.fmu_build.archive import pack, read_member, write_atomically
 from flexfmu.fmu_build.compilation import compile_library
-from flexfmu.fmu_build.sources import Sources
+from flexfmu.fmu_build.sources import Sources, c_files
 from flexfmu.fmu_build.toolchain import FMI_HEADERS, find_compiler, fmi_header_folder, native_platform
-
-C_FILES = {"flexfmu.cosim.exchange": ("c-wrap/wrap.c",)} | {
-    LIBRARIES["master"]: ("c-master/exchange.c", "c-master/exchange.h", "c-master/master.h")
-}
-"""Package → its C files for the library."""
 
 KEPT = ("needsExecutionTool", "canBeInstantiatedOnlyOncePerProcess", "canNotUseMemoryManagementFunctions")
 """Attributes of model exchange that hold for co-simulation, too."""
@@ -63,20 +58,18 @@ def wrap_fmu(path: Path, target: Path) -> None:
         }
     content["modelDescription.xml"] = _description(fmu)
     # the library beside that of the FMU
-    texts = {
-        Path(name).name: files(package).joinpath(name).read_text(encoding="utf-8")
-        for package, names in C_FILES.items()
-        for name in names
-    }
+    texts = library_texts("exchange")
+    joined = c_files(texts)
+    texts["wrap.c"] = files(__package__).joinpath("c-wrap/wrap.c").read_text(encoding="utf-8")
     texts |= {name: (fmi_header_folder() / name).read_text(encoding="utf-8") for name in FMI_HEADERS["2"][:2]}
     # the functions of FMI alone are exported
-    texts["exchange.h"] = texts["exchange.h"].replace("EXPORTED ", "")
+    texts["exchange.h"] = texts["exchange.h"].replace("FLEX_EXPORTED ", "")
     texts["wrap_model.h"] = _table(fmu, f"{identifier}{platform.suffix}")
     compiler = find_compiler(platform)
     if platform.suffix == ".so":
         links = (*compiler.platform.link_flags, "-ldl")
         compiler = replace(compiler, platform=replace(compiler.platform, link_flags=links))
-    sources = Sources(f"{identifier}_cs", "", "", {}, texts, {})
+    sources = Sources(f"{identifier}_cs", "", "", {}, texts, {}, joined=joined)
     content[f"{folder}{identifier}_cs{platform.suffix}"] = compile_library(sources, compiler)
     write_atomically(target, pack(content))
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
-from flexfmu.cosim.engine.shared_library import LIBRARIES, library_file
+from flexfmu.cosim.engine.shared_library import library_file
 from flexfmu.cosim.experiment.parameters import scene_values
 from flexfmu.fmu_build.build import BuildProgress, BuiltFmu, build_fmu
 from flexfmu.fmu_build.experiment import DefaultExperiment
@@ -144,6 +144,6 @@ def build_scene(
     )
     if not built.cached:
         # a run with the FMU from the cache shall need no compiler
-        for name in LIBRARIES:
+        for name in ("master", "metrics"):
             library_file(name)
     return built

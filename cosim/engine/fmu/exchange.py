@@ -1,17 +1,17 @@
 """Model exchange: integrates the states of an FMU between communication points, and finds its events.
 
-The method is Radau IIA of order 5, in C (``c-master/exchange.c``): implicit and L-stable, for stiff and other FMUs alike, and of one
-step, so that a jump of the inputs at a communication point costs no start of low order. Its matrices are kept from one
-communication step to the next.
+The method is Radau IIA of order 5, by the solver of our own FMUs in C (``c-runtime/import/exchange.c``): implicit and L-stable, for
+stiff and other FMUs alike, and of one step, so that a jump of the inputs at a communication point costs no start of low order. Its
+matrices are kept from one communication step to the next.
 
 A step in which an event indicator changes its domain, z > 0 or z <= 0 (FMI 2.0.4, section 3.1.1), is made once more up to the
-first such change: found on the polynomial of the step, and again until step and polynomial end there. The states at
+first such change: seen on the polynomial of the step, then found by steps that end there. The states at
 an event are then those of a whole step, not of its interpolation.
 """
 
 from __future__ import annotations
 
-from ctypes import addressof, byref, c_size_t, c_void_p, cast, memmove, sizeof
+from ctypes import addressof, byref, c_size_t, c_void_p, cast
 from math import ulp
 from typing import Any
 
@@ -30,23 +30,20 @@ NEAR = 1e-9
 MOST_ROUNDS = 1000
 """Limit of the iterations of one event, and of successive events without progress in time."""
 
-TOLERANCE, ABSOLUTE = 1e-6, 0.01
-"""Relative tolerance where none is given, and absolute tolerance relative to it and to a state's nominal value (FMI 2.0.4,
-section 2.1.5: fmi2SetupExperiment)."""
+TOLERANCE = 1e-6
+"""Relative tolerance where none is given (FMI 2.0.4, section 2.1.5: fmi2SetupExperiment)."""
 
 LEAST_TOLERANCE = 1e-12
 """Least relative tolerance: below it, rounding decides in the FMU's derivatives."""
 
 LEAST_STEP = 1e-13
-"""Shortest step after one that the FMU discards, relative to the communication step."""
+"""Progress in time that counts as none, relative to the communication step."""
 
 _REACHED, _EVENT, _ENDS, _STUCK, _FAILED = range(5)
-"""What ``master_exchange_advance`` returns."""
+"""What ``flex_exchange_advance`` returns."""
 
 
-_Record, _Polynomials, _Exchange = (
-    c_structures("master")[f"master_exchange{part}"] for part in ("_record", "_polynomials", "")
-)
+_Polynomials, _Exchange = (c_structures("exchange")[f"flex_exchange{part}"] for part in ("_polynomials", ""))
 
 
 class ContinuousTime:
@@ -61,7 +58,7 @@ class ContinuousTime:
     """
 
     def __init__(self, instance: Any, fmu: Any) -> None:
-        self._instance, self._fmu, self._library = instance, fmu, shared_library("master")
+        self._instance, self._fmu, self._library = instance, fmu, shared_library("exchange")
         version, interface = instance.version, fmu.interface
         unknowns = [each.variable for each in fmu.description.derivatives or ()]
         known = [each.derivative.valueReference for each in unknowns if each.derivative is not None]
@@ -73,7 +70,8 @@ class ContinuousTime:
 
         self._in_c = _Exchange(
             addressof(instance.component),
-            *map(function, ("SetTime", "SetContinuousStates", version.rates, "GetEventIndicators")),
+            *map(function, ("SetTime", "SetContinuousStates", "GetContinuousStates", "GetNominalsOfContinuousStates")),
+            *map(function, (version.rates, "GetEventIndicators")),
             function("CompletedIntegratorStep", bool(interface.needsCompletedIntegratorStep)),
             function("GetDirectionalDerivative", has_jacobian),
             function("SetFloat64" if version.counts_values else "SetReal"),
@@ -96,13 +94,9 @@ class ContinuousTime:
             for number, name in zip(numbers, ("ContinuousStates", "EventIndicators"), strict=True):
                 self._call(f"GetNumberOf{name}", byref(number))
             c.n, c.m = (each.value for each in numbers)
-        self._states, self._nominals, self._absolute = np.ones((3, c.n))
-        self._memory, self._pivots = np.zeros(self._library.master_exchange_size(c.n, c.m)), np.zeros(2 * c.n, np.int32)
-        c.tolerance, c.least, c.status = min(max(stated, LEAST_TOLERANCE), 0.1), 0.0, fmi.OK
-        c.absolute, c.nominal, c.memory, c.pivots = map(
-            address, (self._absolute, self._nominals, self._memory, self._pivots)
-        )
-        c.record = _Record(time=time)
+        self._memory = np.zeros(self._library.flex_exchange_size(c.n, c.m), np.uint8)
+        c.tolerance, c.time = min(max(stated, LEAST_TOLERANCE), 0.1), time
+        c.memory, c.plant = address(self._memory), None
         self._followed.clear()
         self._bind_polynomials()
         self._restart(anew=True)
@@ -116,7 +110,7 @@ class ContinuousTime:
             coefficients: (powers, elements) coefficients, from power 0.
         """
         if coefficients is not None:
-            self._followed[key] = self._in_c.record.time, references, coefficients
+            self._followed[key] = self._in_c.time, references, coefficients
             self._instance.epoch += 1
         elif self._followed.pop(key, None) is None:
             return
@@ -135,17 +129,11 @@ class ContinuousTime:
 
     def save(self) -> object:
         """Return what belongs to a saved state of the FMU."""
-        return (
-            _Record.from_buffer_copy(self._in_c.record),
-            self._memory.copy(),
-            self._pivots.copy(),
-            dict(self._followed),
-        )
+        return self._in_c.time, self._memory.copy(), dict(self._followed)
 
     def restore(self, memory: Any) -> None:
         """Go back to what `save` returned."""
-        record, self._memory[:], self._pivots[:], followed = memory
-        memmove(byref(self._in_c.record), byref(record), sizeof(record))
+        self._in_c.time, self._memory[:], followed = memory
         self._followed.clear()
         self._followed.update(followed)
         self._bind_polynomials()
@@ -158,36 +146,29 @@ class ContinuousTime:
     def step(self, time: float, step: float) -> None:
         """Advance from ``time`` by ``step`` [s], from event to event; as `Instance.step`."""
         instance, c, end, idle = self._instance, self._in_c, time + step, 0
-        record, near, advance = c.record, NEAR * step + 4.0 * ulp(end), self._library.master_exchange_advance
-        c.least, c.no_rollback, record.time = LEAST_STEP * step, instance.no_rollback, max(time, record.time)
+        near, advance = NEAR * step + 4.0 * ulp(end), self._library.flex_exchange_advance
+        c.no_rollback, c.time = instance.no_rollback, max(time, c.time)
         while True:
-            start = record.time
+            start = c.time
             outcome = advance(c, instance.next_event if instance.next_event < end - near else end)
             if outcome != _REACHED and outcome != _EVENT:
                 raise self._error(outcome)
             # state events and step events, then time events, at their very instants
-            if outcome == _EVENT or record.time >= instance.next_event - near:
-                if record.time < instance.next_event <= record.time + near:
-                    record.time = instance.next_event
-                    self._call("SetTime", record.time)
-                if instance.event(record.time, end, near):
+            if outcome == _EVENT or c.time >= instance.next_event - near:
+                if c.time < instance.next_event <= c.time + near:
+                    c.time = instance.next_event
+                    self._call("SetTime", c.time)
+                if instance.event(c.time, end, near):
                     return
-                idle = 0 if record.time > start + LEAST_STEP * step else idle + 1
+                idle = 0 if c.time > start + LEAST_STEP * step else idle + 1
                 if idle > MOST_ROUNDS:
-                    raise instance.hangs("has events", record.time)
-            elif record.time >= end:
+                    raise instance.hangs("has events", c.time)
+            elif c.time >= end:
                 return
 
     def _restart(self, *, anew: bool) -> None:
         """Begin or go on to integrate at the FMU's present states; ``anew``: with another step and Jacobian."""
-        c = self._in_c
-        if c.n and anew:
-            self._call("GetContinuousStates", address(self._states), c.n)
-            self._call("GetNominalsOfContinuousStates", address(self._nominals), c.n)
-            self._nominals[~(self._nominals > 0.0)] = 1.0
-            self._absolute[:] = ABSOLUTE * c.tolerance * self._nominals
-        states = self._states if anew else self._memory[: c.n].copy()
-        if (outcome := self._library.master_exchange_begin(c, address(states), anew)) != _REACHED:
+        if (outcome := self._library.flex_exchange_begin(self._in_c, anew)) != _REACHED:
             raise self._error(outcome)
 
     def _call(self, function: str, *arguments: Any) -> None:
@@ -196,7 +177,7 @@ class ContinuousTime:
 
     def _error(self, outcome: int) -> SlaveError:
         """Return the error of an integration that doesn't go on."""
-        instance, time = self._instance, float(self._in_c.record.time)
+        instance, time = self._instance, float(self._in_c.time)
         if outcome == _ENDS:
             return instance.ended(time)  # type: ignore[no-any-return]
         if outcome == _FAILED:

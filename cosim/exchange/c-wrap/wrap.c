@@ -1,4 +1,4 @@
-/* An FMU 2.0 for co-simulation around one for model exchange, whose library lies beside this one: the master's integrator makes its
+/* An FMU 2.0 for co-simulation around one for model exchange, whose library lies beside this one: our solver makes its
  * steps, everything else is passed on. Inputs that are set between two steps are an event, at which discrete states are updated. */
 #define _GNU_SOURCE
 #include "exchange.h"
@@ -30,8 +30,7 @@ typedef struct {
   enum { STARTING, EVENT, STEPPING } mode;
   int begun, ended;                    /* whether the integration has begun, and the FMU has ended the simulation */
   double start, next;                  /* of the run, and the next time event [s] */
-  double *states, *nominal, *absolute; /* N of each */
-  master_exchange exchange;
+  flex_exchange exchange;
 } wrapper;
 
 static int load(wrapper *w) {
@@ -48,27 +47,26 @@ static int load(wrapper *w) {
 
 static fmi2Status say(wrapper *w, fmi2Status status, const char *reason) {
   w->callbacks->logger(w->callbacks->componentEnvironment, INNER, status, "logStatusError", "it stopped at %g s: %s",
-                       w->exchange.record.time, reason);
+                       w->exchange.time, reason);
   return status;
 }
 
-EXPORTED void fmi2FreeInstance(fmi2Component c) {
+FLEX_EXPORTED void fmi2FreeInstance(fmi2Component c) {
   wrapper *w = c;
   if (w == NULL) return;
   if (w->component != NULL) w->FreeInstance(w->component);
   if (w->library != NULL) dlclose(w->library);
-  free(w->states), free(w->exchange.memory), free(w->exchange.pivots), free(w);
+  free(w->exchange.memory), free(w);
 }
 
-EXPORTED fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
+FLEX_EXPORTED fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                                           const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging) {
   wrapper *w = calloc(1, sizeof *w);
   if (w == NULL) return NULL;
   w->callbacks = callbacks;
-  master_exchange *e = &w->exchange;
-  w->states = calloc(3 * N + 1, sizeof(double)), w->nominal = w->states + N, w->absolute = w->nominal + N;
-  e->memory = calloc(master_exchange_size(N, M) + 1, sizeof(double)), e->pivots = calloc(2 * N + 1, sizeof(int));
-  int is_ready = type == fmi2CoSimulation && w->states != NULL && e->memory != NULL && e->pivots != NULL && load(w);
+  flex_exchange *e = &w->exchange;
+  e->memory = calloc(1, flex_exchange_size(N, M));
+  int is_ready = type == fmi2CoSimulation && e->memory != NULL && load(w);
   if (is_ready) w->component = w->Instantiate(name, fmi2ModelExchange, guid, resources, callbacks, visible, logging);
   if (w->component == NULL) {
     say(w, fmi2Error, is_ready ? "the FMU for model exchange refuses to be instantiated" : "it can't be loaded for co-simulation");
@@ -77,13 +75,14 @@ EXPORTED fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2Strin
   }
   e->component = &w->component, e->set_time = (int (*)(void *, double))w->SetTime;
   e->set_states = (int (*)(void *, const double *, size_t))w->SetContinuousStates;
+  e->get_states = (int (*)(void *, double *, size_t))w->GetContinuousStates;
+  e->get_nominals = (int (*)(void *, double *, size_t))w->GetNominalsOfContinuousStates;
   e->get_rates = (int (*)(void *, double *, size_t))w->GetDerivatives;
   e->get_indicators = (int (*)(void *, double *, size_t))w->GetEventIndicators;
   e->set_real = (void (*)(void))w->SetReal;
   e->completed = NEEDS_COMPLETED ? (void (*)(void))w->CompletedIntegratorStep : NULL;
   e->directional = HAS_DIRECTIONAL ? (void (*)(void))w->GetDirectionalDerivative : NULL;
-  e->unknown = unknown, e->known = known, e->references = N, e->n = N, e->m = M;
-  e->absolute = w->absolute, e->nominal = w->nominal, e->tolerance = TOLERANCE;
+  e->unknown = unknown, e->known = known, e->references = N, e->n = N, e->m = M, e->tolerance = TOLERANCE;
   return w;
 }
 
@@ -95,7 +94,6 @@ static fmi2Status stopped(wrapper *w, int outcome) {
 
 /* updates discrete states until none changes any more, then goes on with steps; after a jump of inputs alone with step and Jacobian */
 static fmi2Status leave_event(wrapper *w, int inputs_alone) {
-  master_exchange *e = &w->exchange;
   fmi2EventInfo info = {0};
   int anew = !w->begun || !inputs_alone, round = 0;
   fmi2Status status;
@@ -108,15 +106,7 @@ static fmi2Status leave_event(wrapper *w, int inputs_alone) {
   w->next = info.nextEventTimeDefined ? info.nextEventTime : INFINITY;
   if ((status = w->EnterContinuousTimeMode(w->component)) > fmi2Warning) return status;
   w->mode = STEPPING, w->begun = 1;
-  memcpy(w->states, e->memory, N * sizeof *w->states);
-  if (anew && N > 0 && ((status = w->GetContinuousStates(w->component, w->states, N)) > fmi2Warning ||
-                        (status = w->GetNominalsOfContinuousStates(w->component, w->nominal, N)) > fmi2Warning))
-    return status;
-  for (int k = 0; k < N; k++) {
-    if (!(w->nominal[k] > 0.0)) w->nominal[k] = 1.0;
-    w->absolute[k] = 0.01 * e->tolerance * w->nominal[k];
-  }
-  int outcome = master_exchange_begin(e, w->states, anew);
+  int outcome = flex_exchange_begin(&w->exchange, anew);
   return outcome == EXCHANGE_REACHED ? fmi2OK : stopped(w, outcome);
 }
 
@@ -125,31 +115,31 @@ static fmi2Status enter_event(wrapper *w) {
   return w->mode = EVENT, w->EnterEventMode(w->component);
 }
 
-EXPORTED fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_rollback) {
+FLEX_EXPORTED fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_rollback) {
   wrapper *w = c;
-  master_exchange_record *r = &w->exchange.record;
+  flex_exchange *e = &w->exchange;
   double end = time + step, near = 1e-9 * step + 4.0 * DBL_EPSILON * fabs(end);
   fmi2Status status;
   if (w->mode == EVENT && (status = leave_event(w, 1)) > fmi2Warning) return status;
-  if (r->time < time) r->time = time;
-  w->exchange.least = 1e-13 * step, w->exchange.no_rollback = no_rollback;
+  if (e->time < time) e->time = time;
+  e->no_rollback = no_rollback;
   for (int idle = 0; idle < MOST_ROUNDS;) {
-    double begin = r->time;
-    int outcome = master_exchange_advance(&w->exchange, w->next < end - near ? w->next : end);
+    double begin = e->time;
+    int outcome = flex_exchange_advance(e, w->next < end - near ? w->next : end);
     if (outcome != EXCHANGE_REACHED && outcome != EXCHANGE_EVENT) return stopped(w, outcome);
     /* state events and step events, then time events at their very instants */
-    if (outcome == EXCHANGE_EVENT || r->time >= w->next - near) {
-      if (r->time < w->next && w->next <= r->time + near) w->SetTime(w->component, r->time = w->next);
+    if (outcome == EXCHANGE_EVENT || e->time >= w->next - near) {
+      if (e->time < w->next && w->next <= e->time + near) w->SetTime(w->component, e->time = w->next);
       if ((status = enter_event(w)) > fmi2Warning || (status = leave_event(w, 0)) > fmi2Warning) return status;
-      idle = r->time > begin + w->exchange.least ? 0 : idle + 1;
-    } else if (r->time >= end) {
+      idle = e->time > begin + 1e-13 * step ? 0 : idle + 1;
+    } else if (e->time >= end) {
       return fmi2OK;
     }
   }
   return say(w, fmi2Error, "it has events without end");
 }
 
-EXPORTED fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean defined, fmi2Real tolerance, fmi2Real start,
+FLEX_EXPORTED fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean defined, fmi2Real tolerance, fmi2Real start,
                                            fmi2Boolean stops, fmi2Real stop) {
   wrapper *w = c;
   w->start = start;
@@ -157,15 +147,14 @@ EXPORTED fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean defined, fm
   return w->SetupExperiment(w->component, defined, tolerance, start, stops, stop);
 }
 
-EXPORTED fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+FLEX_EXPORTED fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
   wrapper *w = c;
   fmi2Status status = w->ExitInitializationMode(w->component);
-  memset(&w->exchange.record, 0, sizeof w->exchange.record);
-  w->exchange.record.time = w->start, w->mode = EVENT;
+  w->exchange.plant = NULL, w->exchange.time = w->start, w->mode = EVENT;
   return status > fmi2Warning ? status : leave_event(w, 0);
 }
 
-EXPORTED fmi2Status fmi2Reset(fmi2Component c) {
+FLEX_EXPORTED fmi2Status fmi2Reset(fmi2Component c) {
   wrapper *w = c;
   w->mode = STARTING, w->begun = w->ended = 0;
   return w->Reset(w->component);
@@ -173,28 +162,28 @@ EXPORTED fmi2Status fmi2Reset(fmi2Component c) {
 
 /* what is passed on, and what there isn't: importers look for all functions */
 #define PASS(name, parameters, ...) \
-  EXPORTED fmi2Status fmi2##name parameters { return ((wrapper *)c)->name(((wrapper *)c)->component, __VA_ARGS__); }
+  FLEX_EXPORTED fmi2Status fmi2##name parameters { return ((wrapper *)c)->name(((wrapper *)c)->component, __VA_ARGS__); }
 #define TRANSFER(type)                                                                                                    \
   PASS(Get##type, (fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2##type v[]), r, n, v)                     \
-  EXPORTED fmi2Status fmi2Set##type(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2##type v[]) {      \
+  FLEX_EXPORTED fmi2Status fmi2Set##type(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2##type v[]) {      \
     fmi2Status status = enter_event(c);                                                                                   \
     return status > fmi2Warning ? status : ((wrapper *)c)->Set##type(((wrapper *)c)->component, r, n, v);                 \
   }
 TRANSFER(Real) TRANSFER(Integer) TRANSFER(Boolean) TRANSFER(String)
 PASS(SetDebugLogging, (fmi2Component c, fmi2Boolean on, size_t n, const fmi2String names[]), on, n, names)
-#define CALL(name) EXPORTED fmi2Status fmi2##name(fmi2Component c) { return ((wrapper *)c)->name(((wrapper *)c)->component); }
+#define CALL(name) FLEX_EXPORTED fmi2Status fmi2##name(fmi2Component c) { return ((wrapper *)c)->name(((wrapper *)c)->component); }
 CALL(EnterInitializationMode) CALL(Terminate)
-EXPORTED const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
-EXPORTED const char *fmi2GetVersion(void) { return "2.0"; }
-#define REFUSE(name) EXPORTED fmi2Status fmi2##name(void) { return fmi2Error; }
+FLEX_EXPORTED const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
+FLEX_EXPORTED const char *fmi2GetVersion(void) { return "2.0"; }
+#define REFUSE(name) FLEX_EXPORTED fmi2Status fmi2##name(void) { return fmi2Error; }
 REFUSE(GetFMUstate) REFUSE(SetFMUstate) REFUSE(FreeFMUstate) REFUSE(SerializedFMUstateSize) REFUSE(SerializeFMUstate)
 REFUSE(DeSerializeFMUstate) REFUSE(GetDirectionalDerivative) REFUSE(SetRealInputDerivatives) REFUSE(GetRealOutputDerivatives)
 REFUSE(CancelStep) REFUSE(GetStatus) REFUSE(GetIntegerStatus) REFUSE(GetStringStatus)
 
 #define STATUS(type, known, of)                                                                                           \
-  EXPORTED fmi2Status fmi2Get##type##Status(fmi2Component c, const fmi2StatusKind kind, fmi2##type *value) {              \
+  FLEX_EXPORTED fmi2Status fmi2Get##type##Status(fmi2Component c, const fmi2StatusKind kind, fmi2##type *value) {              \
     *value = ((wrapper *)c)->of;                                                                                          \
     return kind == known ? fmi2OK : fmi2Discard;                                                                          \
   }
-STATUS(Real, fmi2LastSuccessfulTime, exchange.record.time)
+STATUS(Real, fmi2LastSuccessfulTime, exchange.time)
 STATUS(Boolean, fmi2Terminated, ended)

@@ -5,11 +5,7 @@
 
 #include <stddef.h>
 
-#if defined(_WIN32)
-#define FLEX_BATCH_EXPORT __declspec(dllexport)
-#else
-#define FLEX_BATCH_EXPORT __attribute__((visibility("default")))
-#endif
+#include "private.h"
 
 /* what all variants share */
 typedef struct {
@@ -47,21 +43,21 @@ typedef struct {
 } flex_batch_task;
 
 /* lanes of this library */
-FLEX_BATCH_EXPORT int flex_batch_width(void);
+FLEX_EXPORTED int flex_batch_width(void);
 
 /* bytes of memory that simulating a task needs, zeroed by the caller */
-FLEX_BATCH_EXPORT size_t flex_batch_size(const flex_batch_task *task);
+FLEX_EXPORTED size_t flex_batch_size(const flex_batch_task *task);
 
 /* simulates `count` variants. values [count (1 + n_changed)]: how many times as long as that of the inputs the variant's motion
  * takes, and changed parameters. recordings [count n_recorded (order + 1)
  * instants], the instants being the communication points, those with jumps twice; failed [count]: 1 where a variant couldn't
  * be simulated */
-FLEX_BATCH_EXPORT void flex_batch_record(const flex_batch_task *task, void *memory, int count, const double *values,
+FLEX_EXPORTED void flex_batch_record(const flex_batch_task *task, void *memory, int count, const double *values,
                                          double *recordings, int *failed);
 
 /* simulates `count` variants; peaks [count n_recorded]: largest magnitude of each output until the time `end`, for a
  * task that finds peaks */
-FLEX_BATCH_EXPORT void flex_batch_peaks(const flex_batch_task *task, void *memory, double end, int count,
+FLEX_EXPORTED void flex_batch_peaks(const flex_batch_task *task, void *memory, double end, int count,
                                         const double *values, double *peaks, int *failed);
 
 #endif

@@ -180,6 +180,7 @@ static flex_outcome make_steps(flex_integrator *integrator, double t1, long long
 
     // the last one ends at t1 exactly; an event or another step size makes a new plan
     result->time = taken < h ? start + i * h + taken : i + 1.0 == count ? t1 : start + (i + 1.0) * h;
+    if (integrator->completed) integrator->completed(integrator, result->time);
     if (fixed > 0.0) record->step = fixed;
     if (taken < h || record->at_event || (fixed == 0.0 && (record->step < h || record->step > REPLANNED_GROWTH * h))) break;
   }
@@ -319,8 +320,8 @@ static double look_ahead(flex_integrator *integrator, double t0, double t1) {
 }
 
 flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, double t1) {
-  if (integrator->n == 0) return advance_rigid(integrator, t0, t1);
   const long long *evaluations = integrator->stages.equations->evaluations;
+  if (integrator->n == 0 && !integrator->completed) return advance_rigid(integrator, t0, t1);
   long long before = *evaluations;
 
   // the budget grows with the motion and shrinks with the work

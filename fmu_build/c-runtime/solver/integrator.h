@@ -35,6 +35,7 @@ struct flex_integrator {
   const double *fixed_step; /* [s]; 0 = the error decides */
   double work_left;         /* evaluations that may still be made; not given back with a saved state */
   int stops_at_events;      /* 1 = integration ends at the first event, which the importer handles */
+  void (*completed)(flex_integrator *integrator, double time); /* follows each step, and may make an event of its end; NULL for none */
   int wants_longer_steps;   /* 1 = a step is shorter than what is left of the communication step */
 
   /* numeric state, one after the other in memory: position, rate, what rounding left of both, acceleration, accelerations

@@ -111,7 +111,7 @@ int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, c
                         const real *a, const real *u, const real *position_weight, const real *rate_weight,
                         real scale) {
   int n = matrix->n;
-  if (matrix->sparse) {
+  if (equations->model->jacobian.call) {
     const real *const arguments[] = {y, v, a, u, equations->d};
     matrix->record->is_known = !flex_call(equations, &equations->model->jacobian, 5, arguments, matrix->mass);
     forget_inverses(matrix);

@@ -238,7 +238,9 @@ static int is_useless(const flex_stages_record *record) {
 }
 
 static int renews_mass_alone(const flex_stages *stages) {
-  return !is_useless(stages->record) && stages->record->renewals < MOST_RENEWALS && !stages->matrix.sparse;
+  const flex_model *model = stages->equations->model;
+  int may_change = model->n_first < stages->n && !model->jacobian.call;
+  return may_change && !is_useless(stages->record) && stages->record->renewals < MOST_RENEWALS;
 }
 
 // a refresh pays when the iterations that it would have saved cost as much: the mass matrix, if need be 2 n residuals, and

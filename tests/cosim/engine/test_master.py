@@ -233,17 +233,12 @@ SOURCES = Path(__file__).parent / "c-master"
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 @pytest.mark.parametrize(
     ("source", "tested", "arguments"),
-    [
-        ("program.c", "master.c", []),
-        ("program.c", "master.c", ["step"]),
-        ("dense_program.c", "dense.c", []),
-        ("exchange_program.c", "exchange.c", []),
-    ],
-    ids=["not finite", "failed step", "interpolation", "model exchange"],
+    [("program.c", "master.c", []), ("program.c", "master.c", ["step"]), ("dense_program.c", "dense.c", [])],
+    ids=["not finite", "failed step", "interpolation"],
 )
 def test_programs(source: str, tested: str, arguments: list[str], tmp_path: Path) -> None:
     """What all instructions write, when they are carried out, and where a failure is reported; all derivatives of two
-    signals, at a point and between the last ones; a ball's bounces."""
+    signals, at a point and between the last ones."""
     program = tmp_path / "program"
     with as_file(files("flexfmu.cosim.engine.master") / "c-master") as folder:
         command = [COMPILER, *FLAGS, *SANITIZERS, "-I", folder, SOURCES / source, folder / tested, "-lm", "-o", program]
