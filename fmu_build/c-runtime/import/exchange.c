@@ -13,7 +13,8 @@
 #include "integration_step.h"
 #include "plant.h"
 
-enum { WARNING = 1, DISCARD = 2 };
+/* statuses of FMI; so many states make wide registers pay */
+enum { WARNING = 1, DISCARD = 2, WIDE = 8 };
 
 /* an event is found when an indicator is this much nearer to zero than the solver asks for: FMUs scale theirs as they like */
 #define MAGNIFIED 1024.0
@@ -159,6 +160,7 @@ static void create(flex_exchange *e) {
   *model = describe(e->n, e->m, e->directional != NULL, events);
   flex_plant *plant = e->plant = flex_plant_create(model, arena.block + arena.used);
   plant->equations.w = (void *)e;
+  plant->equations.has_lanes &= e->n >= WIDE;
   plant->integrator.stops_at_events = 1;
   plant->integrator.completed = complete;
   flex_integrator_use(&plant->integrator, flex_find_method(FLEX_RADAU_3, e->tolerance, 1, 1), e->tolerance);
