@@ -13,11 +13,16 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
+import scipy.linalg  # noqa: F401 - a limit holds for libraries that are loaded
 from hypothesis import HealthCheck, settings
+from threadpoolctl import threadpool_limits
 
 # a shell's background job ignores Ctrl-C, and what its tests start would too
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# threads of BLAS, which wait for each other on a busy machine, take several times the processor time of one
+threadpool_limits(1, user_api="blas")
 
 sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder: `formulations`, for example
 

@@ -270,8 +270,13 @@ ARCHIVE = [
 ]
 
 
+def without_exchange(description: bytes) -> bytes:
+    """The description with co-simulation alone."""
+    return re.sub(rb"<ModelExchange.*?</ModelExchange>", b"", description, flags=re.DOTALL)
+
+
 def _without_exchange(sound: Files) -> bytes:
-    description = re.sub(rb"<ModelExchange.*?</ModelExchange>", b"", sound[DESCRIPTION], flags=re.DOTALL)
+    description = without_exchange(sound[DESCRIPTION])
     return zipped(sound | {DESCRIPTION: description, "resources/mutant.txt": b"undeclared_state"})
 
 
@@ -294,5 +299,5 @@ def sound_variants(library: bytes) -> dict[str, bytes]:
         "large output": zipped(sound | {"resources/mutant.txt": b"offset"}),
         "time events": zipped(sound | {"resources/mutant.txt": b"ticks"}),
         "ends the simulation": zipped(sound | {"resources/mutant.txt": b"ends_early"}),
-        "once a process": zipped(sound | {DESCRIPTION: once, "resources/mutant.txt": b"once"}),
+        "once a process": zipped(sound | {DESCRIPTION: without_exchange(once), "resources/mutant.txt": b"once"}),
     }
