@@ -126,7 +126,7 @@ def read_log(log: Log, mapping: Mapping[str, Mapped], signals: Mapping[str, str]
         InputError: it has no time, no signal, a column or signal doesn't exist, the time decreases, or a unit is unknown.
     """
     source = Path(log) if isinstance(log, str | Path) else "the measurement"
-    found = _table(Path(log)) if isinstance(log, str | Path) else _in_memory(log)
+    found = table_of(Path(log)) if isinstance(log, str | Path) else _in_memory(log)
     table, units = found.table, found.units
     meaning = _meaning(source, table, mapping, signals)
     # the time first, which every signal needs
@@ -152,7 +152,7 @@ def read_log(log: Log, mapping: Mapping[str, Mapped], signals: Mapping[str, str]
 
 
 @dataclass(frozen=True)
-class _Log:
+class LogTable:
     """The columns of a log by name without their units, these units, the lines of the rows, and column → lines and cells of what is
     no finite number though it isn't empty."""
 
@@ -162,7 +162,7 @@ class _Log:
     odd: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
 
 
-def _in_memory(log: Recording | pandas.DataFrame) -> _Log:
+def _in_memory(log: Recording | pandas.DataFrame) -> LogTable:
     """Return the columns of signals in memory, the time among them; NaN is a missing value there."""
     if isinstance(log, Recording):
         columns = {"time": log.time, **{name: each.values for name, each in log.columns.items()}}
@@ -174,10 +174,10 @@ def _in_memory(log: Recording | pandas.DataFrame) -> _Log:
     odd = {
         name: [(i + 1, f"{each[i]:g}") for i in np.flatnonzero(np.isinf(each)).tolist()] for name, each in real.items()
     }
-    return _Log(columns, odd=odd)
+    return LogTable(columns, odd=odd)
 
 
-def _table(path: Path) -> _Log:
+def table_of(path: Path) -> LogTable:
     """Return the columns of a file."""
     if path.suffix in (".parquet", ".mat"):
         return _in_memory(Recording.read(path))
@@ -215,7 +215,7 @@ def _table(path: Path) -> _Log:
     for i, j in np.argwhere(~np.isfinite(table)):
         if cell := rows[i][j].strip():
             odd.setdefault(names[j], []).append((places[i], cell))
-    return _Log(dict(zip(names, table.T, strict=True)), units, places, odd)
+    return LogTable(dict(zip(names, table.T, strict=True)), units, places, odd)
 
 
 def _number_in(cell: str) -> float:

@@ -6,6 +6,7 @@ from flexfmu import motions as motions
 from flexfmu import shapers as shapers
 from flexfmu.api import build as build
 from flexfmu.api import compare as compare
+from flexfmu.api import frequency_response as frequency_response
 from flexfmu.api import linearize as linearize
 from flexfmu.api import margins as margins
 from flexfmu.api import modes as modes
@@ -17,6 +18,7 @@ from flexfmu.api import sweep as sweep
 from flexfmu.api import tune as tune
 from flexfmu.cosim.control.controllers.own_function import controller as controller
 from flexfmu.cosim.design.effects.study import study_effects as study_effects
+from flexfmu.cosim.design.response.response import FrequencyResponse as FrequencyResponse
 from flexfmu.cosim.engine.errors import AlgebraicLoopError as AlgebraicLoopError
 from flexfmu.cosim.engine.errors import FmuFileError as FmuFileError
 from flexfmu.cosim.engine.errors import InputError as InputError
@@ -58,6 +60,6 @@ from flexfmu.systems import simulate as simulate
 from flexfmu.systems import slave as slave
 from flexfmu.trajectories.errors import TrajectoryError as TrajectoryError
 
-__all__ = ['AlgebraicLoopError', 'BuildError', 'EquilibriumError', 'Error', 'FmuFileError', 'InputError', 'LoopWarning', 'Metric', 'MissingCompilerError', 'Motor', 'ResultsError', 'Run', 'RunMetrics', 'RunWarning', 'Scene', 'SceneError', 'SceneWarning', 'Selection', 'SlaveError', 'SlaveVariable', 'TrajectoryError', 'WiringError', '__version__', 'build', 'compare', 'control', 'controller', 'dae', 'display', 'disturbances', 'event', 'export_slaves', 'export_ssp', 'filters', 'imperfections', 'lagrangian', 'linearize', 'link_stresses', 'load_scene', 'load_ssp', 'margins', 'measure_run', 'modes', 'motions', 'motor_loads', 'ode', 'part', 'plan_motion', 'reference_motion', 'run', 'run_variants', 'second_order', 'shapers', 'simulate', 'slave', 'start_gains', 'study_effects', 'sweep', 'tune', 'variable']
+__all__ = ['AlgebraicLoopError', 'BuildError', 'EquilibriumError', 'Error', 'FmuFileError', 'FrequencyResponse', 'InputError', 'LoopWarning', 'Metric', 'MissingCompilerError', 'Motor', 'ResultsError', 'Run', 'RunMetrics', 'RunWarning', 'Scene', 'SceneError', 'SceneWarning', 'Selection', 'SlaveError', 'SlaveVariable', 'TrajectoryError', 'WiringError', '__version__', 'build', 'compare', 'control', 'controller', 'dae', 'display', 'disturbances', 'event', 'export_slaves', 'export_ssp', 'filters', 'frequency_response', 'imperfections', 'lagrangian', 'linearize', 'link_stresses', 'load_scene', 'load_ssp', 'margins', 'measure_run', 'modes', 'motions', 'motor_loads', 'ode', 'part', 'plan_motion', 'reference_motion', 'run', 'run_variants', 'second_order', 'shapers', 'simulate', 'slave', 'start_gains', 'study_effects', 'sweep', 'tune', 'variable']
 
 __version__: str

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from flexfmu.cosim.design.gains.tuner import TuneResult
     from flexfmu.cosim.design.margins.scene_margins import MarginsResult
     from flexfmu.cosim.design.plans.planner import PlanResult
+    from flexfmu.cosim.design.response.response import FrequencyResponse
     from flexfmu.cosim.engine.measured import Log
     from flexfmu.cosim.experiment.accuracy import AccuracyAnswer
     from flexfmu.cosim.reports.modes_table import ModesAlongPath
@@ -471,6 +472,7 @@ def margins(
     point: Mapping[str, float] | None = None,
     poses: int = 5,
     payload_band: float | tuple[float, float] | None = None,
+    response: FrequencyResponse | str | Path | None = None,
     **parts: Unpack[Parts],
 ) -> MarginsResult:
     """Gain, phase, delay and disk margins of the sampled loop of a torque-driven scene, about equilibria along its path, or of a loop
@@ -490,6 +492,8 @@ def margins(
         poses: number of equally spaced poses along the path, in addition to the worst ones, which are searched; 1 for its end alone.
         payload_band: payloads among which the worst one is searched too, unknown to the controllers: a fraction to both sides,
             or the lightest and the heaviest [kg].
+        response: of the robot at the end of the path, or of the model's part about the point, measured, or its file. In its band it
+            stands in place of the model's, in the same loop, and margins have standard errors, ``margins.worst.gain_margin.error``.
         parts: ``controllers``, ``shapers``, ``imperfections``, ``filters``, ``disturbances`` and ``connect`` as for `run`.
 
     Returns:
@@ -499,7 +503,8 @@ def margins(
     Raises:
         SceneError: the scene doesn't exist, or one of its keys or values is invalid.
         InputError: the scene has no loop, a slave can't be linearised, or sample times have no common period; or a list hasn't one model,
-            or can't be connected.
+            or can't be connected; or the response lacks a signal of the loop.
+        ResultsError: the response can't be read.
         ModelError: a name of the point is unknown, or the model gives no finite number there.
         TrajectoryError: the motion is not feasible.
         EquilibriumError: the robot has no static equilibrium at a pose.
@@ -507,15 +512,72 @@ def margins(
     """
     from flexfmu.cosim.design.gains.robustness import band_masses
     from flexfmu.cosim.design.margins.scene_margins import model_margins, scene_margins
+    from flexfmu.cosim.design.response.response import FrequencyResponse as Response
 
+    if isinstance(response, str | Path):
+        response = Response.read(response)
     if not isinstance(scene, str) and isinstance(scene, SymbolicModel | Sequence):
         if parts or payload_band is not None:
             raise InputError("payload_band and parts are for scenes; controllers of a model are slaves beside it")
-        return model_margins([scene] if isinstance(scene, SymbolicModel) else scene, wires(connections), point or {})
+        return model_margins(
+            [scene] if isinstance(scene, SymbolicModel) else scene, wires(connections), point or {}, response
+        )
     if connections or point:
         raise InputError("connections and point are for a loop around a model from equations")
     robot = resolved(with_parts(as_scene(scene), parts))
-    return scene_margins(robot, poses=poses, payloads=() if payload_band is None else band_masses(robot, payload_band))
+    masses = () if payload_band is None else band_masses(robot, payload_band)
+    return scene_margins(robot, poses=poses, payloads=masses, response=response)
+
+
+def frequency_response(
+    log: Log | Run | Sequence[Log | Run],
+    input: str | Sequence[str],
+    output: str | Sequence[str],
+    *,
+    period: float | None = None,
+    skip: int = 1,
+    segment: float | None = None,
+    reference: str | Sequence[str] = (),
+    between: tuple[float, float] | None = None,
+    band: tuple[float, float] | None = None,
+    held: bool = True,
+) -> FrequencyResponse:
+    """Estimate a frequency response from logs of a robot or of runs, with standard errors and coherence.
+
+        plant = flexfmu.frequency_response("log.csv", "joint1.torque", "joint1.position", period=2.0, band=(1.0, 200.0))
+        plant.plot(), plant.modes(), flexfmu.margins("scene.toml", response=plant)
+
+    Periodic excitation (a multisine, a repeated chirp) is averaged over its periods, anything else by Welch's method under a Hann window.
+    In a closed loop an input that a controller feeds back isn't independent of noise: with periodic excitation that averages out, else
+    name the ``reference`` that excites the loop. Calls `flexfmu.cosim.design.response.estimate.estimate_response`.
+
+    Args:
+        log: a CSV, ``.mat`` or ``.parquet`` file, a recording, a data frame, or a run; or a list of them, experiments of the same
+            system. As many experiments as inputs, each exciting another one, tell inputs apart; one does with independent noise.
+        input, output: name or names of signals; a sum is one signal, ``"joint1.torque + joint1.disturbance"``.
+        period: [s] of the excitation; None for Welch's method. The last whole periods of a log are taken.
+        skip: number of periods that are left out at least, for the transient.
+        segment: length [s] of Welch's segments, which overlap by half; by default eight of them cover a log.
+        reference: name or names of the excitation, as instruments.
+        between: first and last instant [s] of what is taken of each log.
+        band: lowest and highest frequency [Hz].
+        held: whether the input is held between samples, as a controller's torque is: then the response is that of held values. A log
+            that is resampled, since its steps aren't equal, gives one of continuous signals.
+
+    Returns:
+        The response at the excited frequencies.
+
+    Raises:
+        ResultsError: a log can't be read.
+        InputError: a signal doesn't exist or has no number, a log is too short, or nothing is excited.
+    """
+    from flexfmu.cosim.design.response.estimate import estimate_response
+
+    logs = log if isinstance(log, Sequence) and not isinstance(log, str) else [log]
+    several = [[each] if isinstance(each, str) else [*each] for each in (input, output, reference)]
+    return estimate_response(
+        logs, *several[:2], period=period, skip=skip, segment=segment, reference=several[2], between=between, band=band, held=held
+    )  # fmt: skip
 
 
 def sweep(

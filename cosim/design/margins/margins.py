@@ -17,13 +17,13 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import pairwise
 from math import atan, exp, inf, isfinite, isnan, log, nan, pi
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from flexfmu.cosim.design.margins.linear_loop import ComplexArray, LiftedLoop, LinearLoop
+from flexfmu.cosim.design.margins.linear_loop import ComplexArray, LinearLoop
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import metric
 from flexfmu.trajectories.jets import RealArray
@@ -95,7 +95,26 @@ class LoopMargins:
     @classmethod
     def of(cls, channel: str, *values: float) -> LoopMargins:
         """The margins at a channel from their values, in the order of the attributes."""
-        return cls(channel, *map(metric, [each.name for each in fields(cls)][1:], values))
+        return cls(channel, *map(metric, FIGURES, values))
+
+
+FIGURES = tuple(each.name for each in fields(LoopMargins) if each.name != "channel")
+"""Names of the margins."""
+
+
+class OpenLoop(Protocol):
+    """A loop that is cut at channels, as pictures need it; see `LiftedLoop`."""
+
+    @property
+    def period(self) -> float:
+        """[s]."""
+
+    @property
+    def size(self) -> int:
+        """Number of elements that are fed in a period."""
+
+    def fundamental(self, omega: RealArray, /) -> ComplexArray:
+        """Loop transfer functions for negative feedback at angular frequencies (N,) [rad/s], (N, channels, channels)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +130,8 @@ class PoseMargins:
         loops: a row for each channel, then for all at once.
         open: the lifted loop that is cut at each channel, and at all, for pictures.
         payload: mass [kg] of the robot's payload; NaN where it isn't a scene's.
+        unstable: number of unstable poles of the closed loop around a measured response, of which radius and poles aren't known; None
+            where they are.
     """
 
     s: float
@@ -119,13 +140,14 @@ class PoseMargins:
     radius: float
     poles: ComplexArray
     loops: tuple[LoopMargins, ...]
-    open: tuple[LiftedLoop, ...]
+    open: tuple[OpenLoop, ...]
     payload: float = nan
+    unstable: int | None = None
 
     @property
     def is_stable(self) -> bool:
         """Whether the loop is stable."""
-        return self.radius < 1.0
+        return self.radius < 1.0 if self.unstable is None else not self.unstable
 
     def place(self, with_payload: bool = False) -> str:
         """Where it is, in words."""
@@ -193,6 +215,11 @@ def pose_margins(
     opened = tuple(cut.opened for cut in cuts)
     slowest = np.asarray(poles[np.argsort(-poles.real)], complex)
     return PoseMargins(s, position, joints, radius, slowest, rows, opened, payload)
+
+
+def frequencies_of(loop: LinearLoop) -> RealArray:
+    """Angular frequencies [rad/s] at which responses of a loop are known well, see `pose_margins`."""
+    return _Cut(loop, range(len(loop.channels))).frequencies
 
 
 def is_stable(loop: LinearLoop, factor: float = 1.0) -> bool:
@@ -273,7 +300,7 @@ class _Cut:
         return np.unique(np.concatenate([near(poles, 0.0, pi), angles, np.geomspace(1e-5, pi, 33)]))
 
     @cached_property
-    def _frequencies(self) -> RealArray:
+    def frequencies(self) -> RealArray:
         """Angular frequencies up to nearly half the sampling frequency: in equal ratios, and about poles and zeros [rad/s]."""
         highest, period = 0.999 * pi / self._sample, self.opened.period
         grid = np.geomspace(LOWEST * highest, highest, FREQUENCIES)
@@ -287,11 +314,11 @@ class _Cut:
 
     @cached_property
     def _fundamental(self) -> ComplexArray:
-        return self.opened.fundamental(self._frequencies)
+        return self.opened.fundamental(self.frequencies)
 
     def _crossing(self, excess: Callable[[ComplexArray], RealArray], way: int) -> float:
         """The first frequency upwards (1) or downwards (-1) at which the excess of a response is 0, or the first one of all; else NaN."""
-        grid = self._frequencies[::way]
+        grid = self.frequencies[::way]
         above = np.flatnonzero(excess(self._fundamental[::way]) >= 0.0)
         if not above.size or above[0] == 0:
             return float(grid[0]) if above.size else nan

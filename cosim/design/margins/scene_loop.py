@@ -46,6 +46,7 @@ class WiredSystem:
 
     Attributes:
         system: the system.
+        plant: index of the plant.
         measured: names of the plant's outputs that something takes.
         sampled: indices of the sampled slaves.
 
@@ -54,7 +55,7 @@ class WiredSystem:
     """
 
     def __init__(self, system: System, plant: int, models: tuple[str, ...] = ()) -> None:
-        self.system, self._plant, self._models = system, plant, models
+        self.system, self.plant, self._models = system, plant, models
         self.sampled = [i for i, slave in enumerate(system.slaves) if isinstance(slave, Sampled)]
         self._lags = [(i, slave) for i, slave in enumerate(system.slaves) if isinstance(slave, Lag)]
         for i in self._looped - {plant, *self.sampled, *(i for i, _ in self._lags)}:
@@ -90,8 +91,8 @@ class WiredSystem:
             InputError: a slave can't be linearised, or the loop isn't closed.
         """
         channels = self._channels(plant)
-        if not channels or self._looped == {self._plant}:
-            name = self.system.slaves[self._plant].name
+        if not channels or self._looped == {self.plant}:
+            name = self.system.slaves[self.plant].name
             raise InputError(f"no sampled controller feeds {name} and is fed by it: there is no loop with margins")
         blocks = self._blocks(plant, identify, resting, moving)
         order = [i for i in self.system.exchange_steps if i in self.sampled]
@@ -104,7 +105,7 @@ class WiredSystem:
         self, plant: LinearPlant, identify: bool, resting: Mapping[tuple[int, str], float], moving: Mapping[str, float]
     ) -> list[LinearBlock]:
         """The sampled slaves, linearised at the values that their inputs have at rest."""
-        own = zip(((self._plant, name) for name in plant.outputs), plant.rest[1].tolist(), strict=True)
+        own = zip(((self.plant, name) for name in plant.outputs), plant.rest[1].tolist(), strict=True)
         values = {**resting, **dict(own)}
         found: dict[int, LinearBlock] = {}
         seen: dict[int, RealArray] = {}
@@ -164,7 +165,7 @@ class WiredSystem:
     def _looped(self) -> set[int]:
         """Slaves that the plant reaches and that reach it."""
         pairs = {(each.source, each.target) for each in self.system.connections}
-        return _reachable(pairs, self._plant) & _reachable({(target, source) for source, target in pairs}, self._plant)
+        return _reachable(pairs, self.plant) & _reachable({(target, source) for source, target in pairs}, self.plant)
 
     def _value(self, values: Mapping[tuple[int, str], float], slave: int, name: str) -> float:
         """The value of an input at rest."""
@@ -194,15 +195,37 @@ class WiredSystem:
 
     def _channels(self, plant: LinearPlant) -> dict[str, int]:
         """Input of the plant → index of the sampled output that feeds it, through lags if there are some."""
-        found = {}
-        for name in plant.inputs:
-            feeding = self._feeding.get((self._plant, name))
-            while feeding is not None and isinstance(self.system.slaves[feeding.source], Lag):
-                slave, output = self._source(feeding)
-                lag = self.system.slaves[slave]
-                feeding = self._feeding.get((slave, _names(lag, "input")[_names(lag, "output").index(output)]))
-            if feeding is not None and (source := self._source(feeding)) in self._outputs:
-                found[name] = self._outputs[source]
+        return {
+            name: self._outputs[source]
+            for name in plant.inputs
+            if (source := self.through_lags((self.plant, name))[0]) in self._outputs
+        }
+
+    def through_lags(self, target: tuple[int, str]) -> tuple[tuple[int, str] | None, list[float]]:
+        """What feeds an input through lags, none if nothing does, and their time constants [s]; for an output of a lag what feeds that."""
+        times = list[float]()
+        slave = self.system.slaves[target[0]]
+        if isinstance(slave, Lag) and target[1] in (outputs := _names(slave, "output")):
+            times.append(slave.latency[target[1]])
+            target = target[0], _names(slave, "input")[outputs.index(target[1])]
+        if (feeding := self._feeding.get(target)) is None:
+            return None, times
+        if not isinstance(self.system.slaves[feeding.source], Lag):
+            return self._source(feeding), times
+        source, more = self.through_lags(self._source(feeding))
+        return source, times + more
+
+    def signal_paths(self) -> list[tuple[str, list[float]]]:
+        """For each of the linear loop's signals the plant's output that it is, and the time constants [s] of lags between them.
+
+        An output without a name stands for a lag that the plant doesn't feed.
+        """
+        found = []
+        for source in self._signals:
+            end, times = (source, []) if source[0] == self.plant else self.through_lags(source)
+            if end is None or end[0] != self.plant:
+                end = self.plant, ""
+            found.append((end[1], times))
         return found
 
     def _continuous(self, plant: LinearPlant, channels: list[int]) -> Continuous:
@@ -226,14 +249,14 @@ class WiredSystem:
             elif source in self._outputs:
                 held[rows, self._outputs[source]] += by_rate
                 c_held[out, self._outputs[source]] += by_signal
-            elif source[0] == self._plant:
-                name = self.system.slaves[self._plant].name
+            elif source[0] == self.plant:
+                name = self.system.slaves[self.plant].name
                 raise InputError(
                     f"an output of {name} feeds {name} or a lag directly: margins need a sampled slave between"
                 )
 
         for k, name in enumerate(plant.inputs):
-            if (feeding := self._feeding.get((self._plant, name))) is not None:
+            if (feeding := self._feeding.get((self.plant, name))) is not None:
                 feed(self._source(feeding), plant.b[:, k], plant.d[:, k], slice(0, n), slice(0, len(plant.outputs)))
         for j, (i, lag, k) in enumerate(lags):
             rate, row = 1.0 / lag.latency[_names(lag, "output")[k]], n + j
@@ -253,6 +276,7 @@ class WiredLoop:
         robot: the robot's FMU, if there is one; otherwise its variables are those of its model.
 
     Attributes:
+        wired: the slaves and what they take.
         system: the system.
         sampled: indices of the sampled slaves.
 
@@ -276,8 +300,8 @@ class WiredLoop:
         self._scene = without_coulomb_friction(scene.replace(dict(loop.parameters)) if loop.parameters else scene)
         sections = [each for each in scene.controller if each.kind in MODEL_BASED]
         models = tuple(each.name or each.kind.replace("-", "_") for each in sections)
-        self._wired = WiredSystem(self.system, 1, models)
-        self.sampled = self._wired.sampled
+        self.wired = WiredSystem(self.system, 1, models)
+        self.sampled = self.wired.sampled
 
     @property
     def payload(self) -> float:
@@ -303,12 +327,16 @@ class WiredLoop:
             InputError: see `WiredSystem.about`.
             ValueError, EquilibriumError: see `linear_plant`.
         """
-        scene = self._scene if payload is None else self._scene.replace({"payload.mass": payload})
-        plant = kept_plant(scene, position, self._wired.measured)
+        plant = self.plant(position, payload)
         values = dict(zip(plant.outputs, plant.rest[1].tolist(), strict=True))
         places = {f"{joint}.reference.position": f"{joint}.position" for joint in ("joint1", "joint2")}
         resting = {(0, reference): values[measured] for reference, measured in places.items() if measured in values}
-        return self._wired.about(plant, identify=identify, resting=resting, moving=_moving(plant, velocity))
+        return self.wired.about(plant, identify=identify, resting=resting, moving=_moving(plant, velocity))
+
+    def plant(self, position: tuple[float, float], payload: float | None = None) -> LinearPlant:
+        """The linear robot that `at` has, with the outputs that something takes."""
+        scene = self._scene if payload is None else self._scene.replace({"payload.mass": payload})
+        return kept_plant(scene, position, self.wired.measured)
 
 
 def _moving(plant: LinearPlant, velocity: RealArray | None) -> dict[str, float]:

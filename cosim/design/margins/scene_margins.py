@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import degrees, isfinite, isnan, log, nan, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +16,10 @@ from rich.text import Text
 from flexfmu.cosim.design.margins.course import PathLoop, Place, least_places, worst_places
 from flexfmu.cosim.design.margins.linear_loop import LinearLoop
 from flexfmu.cosim.design.margins.loop_warnings import coarse_counts
-from flexfmu.cosim.design.margins.margins import LoopMargins, PoseMargins, pose_margins
+from flexfmu.cosim.design.margins.margins import FIGURES, LoopMargins, PoseMargins, pose_margins
+from flexfmu.cosim.design.margins.measured_loop import MeasuredLoop, measured_margins
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop, WiredSystem, standing_for
+from flexfmu.cosim.design.response.response import FrequencyResponse
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import OutputFolder, replacing
 from flexfmu.cosim.engine.master.system import connect
@@ -37,9 +39,6 @@ if TYPE_CHECKING:
 POSES = 5
 """Usual number of poses."""
 
-FIGURES = tuple(each.name for each in fields(LoopMargins) if each.name != "channel")
-"""Names of the margins."""
-
 BETTER_IF_LESS = ("gain_reduction", "sensitivity_peak")
 """Margins that are worse the larger they are."""
 
@@ -53,12 +52,14 @@ class MarginsResult(Rows):
         poses: margins at the poses that were asked for and at the worst ones, from start to end, then with other payloads; one of a model.
         linear: the linear loop at each pose.
         coarse_counts: what there is to say of encoders that are too coarse for the gains; None for fine ones.
+        response: the plant's response that was measured; None where all is the model's.
     """
 
     scene: Scene | SymbolicModel
     poses: tuple[PoseMargins, ...]
     linear: tuple[LinearLoop, ...]
     coarse_counts: str | None = None
+    response: FrequencyResponse | None = None
 
     def __repr__(self) -> str:
         """Return a line: what the margins say."""
@@ -100,6 +101,8 @@ class MarginsResult(Rows):
         several = len({each.payload for each in self.poses}) > 1
         unstable = [each for each in self.poses if not each.is_stable]
         where = "; ".join(each.place(several) for each in unstable)
+        if self.response is not None:
+            return f"The loop is unstable at {where}: by encirclements of its response it has {unstable[0].unstable} unstable poles."
         growth = max(pose.poles[0].real for pose in self.poses)
         return (
             f"The loop is unstable at {where}: small motions grow tenfold in {1e3 * log(10.0) / growth:.3g} ms "
@@ -136,6 +139,7 @@ def scene_margins(
     *,
     poses: int = POSES,
     payloads: Sequence[float] = (),
+    response: FrequencyResponse | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> MarginsResult:
     """The margins of a scene's loop at equilibria along its path, and at the worst ones.
@@ -144,6 +148,7 @@ def scene_margins(
         scene: the scene, its effects chosen, driven by torques, with controllers.
         poses: number of poses, equally spaced along the path; between them the worst values are searched. 1 for the end alone.
         payloads: lightest and heaviest payload [kg]; the worst values are searched between them, too.
+        response: of the robot at the end of the path, in place of the model's in its band; then there is no other pose.
         progress: called with the finished fraction, 0 to 1.
 
     Raises:
@@ -156,6 +161,14 @@ def scene_margins(
     loop = loop_of(scene, about_rest=True)
     wired = WiredLoop(scene, loop)
     path = PathLoop(wired, loop.motion)
+    if response is not None:
+        if payloads:
+            raise InputError("a measured response is that of one payload: leave out the band of payloads")
+        linear, names = wired.at(path.position(1.0))
+        model = pose_margins(linear, names, 1.0, path.position(1.0), path.joints(1.0), path.payload)
+        measured = MeasuredLoop(linear, names, wired.wired, wired.plant(path.position(1.0)), response)
+        pose = measured_margins(measured, names, model)
+        return MarginsResult(scene, (pose,), (linear,), coarse_counts(scene, loop, wired), response)
 
     def margins_at(place: Place) -> tuple[PoseMargins, LinearLoop]:
         s, payload = place.s, place.payload
@@ -183,13 +196,19 @@ def scene_margins(
 
 
 @one_blas_thread()
-def model_margins(slaves: Sequence[Any], wires: Sequence[tuple[str, str]], point: Mapping[str, float]) -> MarginsResult:
+def model_margins(
+    slaves: Sequence[Any],
+    wires: Sequence[tuple[str, str]],
+    point: Mapping[str, float],
+    response: FrequencyResponse | None = None,
+) -> MarginsResult:
     """The margins of a loop around a model from equations, about a point.
 
     Args:
         slaves: the model, and what samples around it, as `flexfmu.simulate` takes them.
         wires: pairs (``slave.output``, ``slave.input``).
         point: state or input of the model → value; the start value for others.
+        response: of the model's part, measured about the point, in place of the model's in its band.
 
     Raises:
         InputError: there isn't one model, it has sampled parts, the slaves can't be connected or linearised, or there is no loop.
@@ -206,9 +225,12 @@ def model_margins(slaves: Sequence[Any], wires: Sequence[tuple[str, str]], point
         raise InputError(f"model '{model.name}' samples inside: margins need its parts as slaves beside it")
     made = [standing_for(each, names.of_file(each.name)) if each is model else as_slave(each, names) for each in slaves]
     wired = WiredSystem(connect(made, wires), models[0])
-    linear, channels = wired.about(linear_about(model, point, wired.measured))
+    plant = linear_about(model, point, wired.measured)
+    linear, channels = wired.about(plant)
     pose = pose_margins(linear, channels, nan, (nan, nan), (nan, nan))
-    return MarginsResult(model, (pose,), (linear,))
+    if response is not None:
+        pose = measured_margins(MeasuredLoop(linear, channels, wired, plant, response), channels, pose)
+    return MarginsResult(model, (pose,), (linear,), None, response)
 
 
 HEADS = ("gain", "less", "phase\n°", "delay\nms", "disk", "peak\nS", "band-\nwidth\nHz", "cross-\nover\nHz")
@@ -252,13 +274,18 @@ def margins_data(result: MarginsResult) -> dict[str, Any]:
         "worst": {name: plain(getattr(result.worst, name)) for name in FIGURES},
         "coarse_counts": result.coarse_counts,
         "rows": [{name: plain(value) for name, value in row.items()} for row in result.rows()],
+        "standard_errors": [
+            {name: getattr(row, name).error for name in FIGURES} for pose in result.poses for row in pose.loops
+        ]
+        if result.response is not None
+        else None,
         "poles": [dict(zip(("s", "payload", "real", "imaginary"), each, strict=True)) for each in poles],
     }
 
 
 @one_blas_thread()
 def write_margins(result: MarginsResult, folder: Path) -> list[Path]:
-    """Write ``margins.csv``, ``bode.png``, ``nyquist.png`` and ``root-locus.png`` into a folder; return the files.
+    """Write ``margins.csv``, ``bode.png``, ``nyquist.png`` and, of a model, ``root-locus.png`` into a folder; return the files.
 
     Raises:
         ResultsError: a file can't be written.
@@ -271,8 +298,9 @@ def write_margins(result: MarginsResult, folder: Path) -> list[Path]:
     pictures = {
         "bode.png": draw_margins(result.poses, f"{name}. {result.verdict}", nyquist=False),
         "nyquist.png": draw_margins(result.poses, f"{name}: open loops about −1", bode=False),
-        "root-locus.png": draw_root_locus(result.poses, result.linear, f"{name}: eigenvalues over a period"),
     }
+    if result.response is None:  # of which no eigenvalues are known
+        pictures["root-locus.png"] = draw_root_locus(result.poses, result.linear, f"{name}: eigenvalues over a period")
     for file, figure in pictures.items():
         with replacing(folder / file) as path:
             figure.savefig(path, format="png", dpi=130)

@@ -1,0 +1,1 @@
+"""Frequency responses as they were measured: estimated from logs, read from files, and their modes."""

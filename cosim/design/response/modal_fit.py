@@ -1,0 +1,188 @@
+"""Natural frequencies and damping ratios from a frequency response, by a rational fit that is weighted by the response's errors.
+
+All elements share the poles. With poles given, the residues are linear: so the fit searches frequencies and damping ratios alone (variable
+projection), and takes real residues of each mode, and real coefficients of what lies outside of the band: a rigid body below, a stiffness
+above. Modes are added one by one where one explains most, until another one isn't worth its parameters (Schwarz's criterion).
+
+Sources: G. Golub and V. Pereyra, Separable nonlinear least squares, Inverse Problems 19 (2003); R. Pintelon and J. Schoukens, *System
+Identification: A Frequency Domain Approach*, 2nd ed., Wiley 2012, chapters 9 and 11.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import exp, inf, log, pi
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.metric import Metric
+from flexfmu.trajectories.jets import RealArray
+
+MOST = 10
+"""Largest number of modes that are looked for."""
+
+STARTS, RATIOS = 80, (0.002, 0.02, 0.2)
+"""Frequencies and damping ratios that are tried for a new mode."""
+
+NORMAL = 1.959963984540054
+"""Standard errors from the value to the ends of an interval that holds the truth in 95 % of cases."""
+
+EXACT = 1e-8
+"""Relative error of a fit below which it is exact."""
+
+
+@dataclass(frozen=True)
+class MeasuredMode:
+    """A mode of a measured response.
+
+    Attributes:
+        frequency: natural frequency [Hz], with its standard error.
+        damping_ratio: with its standard error.
+        frequency_interval, damping_interval: of 95 % each.
+    """
+
+    frequency: Metric
+    damping_ratio: Metric
+    frequency_interval: tuple[float, float]
+    damping_interval: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class _Data:
+    """Values (N, m) of m elements with weights at the variable s or z (N,)."""
+
+    variable: NDArray[np.complex128]
+    values: NDArray[np.complex128]
+    weights: RealArray
+    sample_time: float | None
+
+    def misfit(self, logarithms: RealArray) -> RealArray:
+        """Weighted residuals of the best residues with modes of these logarithms of frequencies [rad/s], then of damping ratios."""
+        omega, ratio = np.exp(logarithms.reshape(2, -1))
+        poles = omega * (-ratio + 1j * np.sqrt(np.maximum(1.0 - ratio**2, 0.0)))
+        v, origin = self.variable, 0.0
+        scale = float(np.abs(v).max())
+        if self.sample_time is not None:
+            poles, origin, scale = np.exp(poles * self.sample_time), 1.0, 1.0
+        columns = [np.ones_like(v), 1.0 / (v - origin) ** 2]
+        for pole in poles:
+            denominator = (v - pole) * (v - pole.conjugate())
+            columns += [1.0 / denominator, v / scale / denominator]
+        found = []
+        for value, weight in zip(self.values.T, self.weights.T, strict=True):
+            basis = np.stack(columns, axis=1) * weight[:, np.newaxis]
+            real, wanted = np.vstack([basis.real, basis.imag]), value * weight
+            real = real / np.linalg.norm(real, axis=0)
+            target = np.concatenate([wanted.real, wanted.imag])
+            q, _ = np.linalg.qr(real)
+            found.append(target - q @ (q.T @ target))
+        return np.concatenate(found)
+
+    def parameters(self, count: int) -> int:
+        """Number of parameters with a number of modes."""
+        return 2 * count + (2 + 2 * count) * int(self.values.shape[1])
+
+
+def fitted_modes(
+    frequency: RealArray,
+    values: NDArray[np.complex128],
+    standard_error: RealArray | None,
+    sample_time: float | None,
+    count: int | None,
+) -> tuple[tuple[MeasuredMode, ...], float]:
+    """The modes of a response, the lowest first, and the root mean square of the weighted residuals: 1 where the errors explain them.
+
+    Args:
+        frequency: (N,) [Hz].
+        values: (N, m) the response's elements.
+        standard_error: (N, m) of real and of imaginary part; None for errors that are proportional to the magnitude, and as large as
+            the residuals say.
+        sample_time: of held inputs [s]; None for a continuous response.
+        count: number of modes; None for as many as the response shows, at most `MOST`.
+
+    Raises:
+        InputError: the response has too few frequencies.
+    """
+    omega = 2.0 * pi * frequency
+    variable = np.asarray(1j * omega if sample_time is None else np.exp(1j * omega * sample_time), complex)
+    relative = standard_error is None
+    weights = 1.0 / np.maximum(np.abs(values) if standard_error is None else standard_error, 1e-300)
+    data = _Data(variable, values, weights, sample_time)
+    size = 2 * values.size
+    most = MOST if count is None else count
+    if size <= data.parameters(1 if count is None else count):
+        raise InputError(
+            f"{count or 1} modes have {data.parameters(count or 1)} parameters: {len(frequency)} frequencies are too few for them"
+        )
+
+    def criterion(residuals: RealArray, modes: int) -> float:
+        # without errors the size of the residuals is one more parameter
+        square = max(float(residuals @ residuals), size * EXACT**2)
+        return (size * log(square / size) if relative else square) + data.parameters(modes) * log(size)
+
+    found = np.zeros((2, 0))
+    best = criterion(data.misfit(found), 0)
+    while found.shape[1] < most and size > data.parameters(found.shape[1] + 1):
+        starts = [np.column_stack([found, each]) for each in _starts(omega)]
+        costs = [float(np.sum(data.misfit(each) ** 2)) for each in starts]
+        more = _search(data, starts[int(np.argmin(costs))], omega)
+        residuals = data.misfit(more)
+        now = criterion(residuals, more.shape[1])
+        if count is None and now >= best - log(size):
+            break
+        found, best = more, now
+        if count is None and np.sqrt(np.mean(residuals**2)) < EXACT:
+            break
+    return _modes(data, found, relative)
+
+
+def _starts(omega: RealArray) -> Iterator[RealArray]:
+    """Logarithms of frequency and damping ratio of modes that may be new."""
+    for each in np.linspace(log(omega[0]), log(omega[-1]), STARTS).tolist():
+        for ratio in RATIOS:
+            yield np.array([each, log(ratio)])
+
+
+def _search(data: _Data, start: RealArray, omega: RealArray) -> RealArray:
+    """The least weighted residuals about a start."""
+    n = start.shape[1]
+    lower = np.concatenate([np.full(n, log(0.3 * omega[0])), np.full(n, log(1e-6))])
+    upper = np.concatenate([np.full(n, log(3.0 * omega[-1])), np.full(n, log(0.99))])
+    begin = np.clip(start.ravel(), lower + 1e-9, upper - 1e-9)
+    found = least_squares(data.misfit, begin, bounds=(lower, upper), x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    return np.asarray(found.x.reshape(2, -1))
+
+
+def _modes(data: _Data, found: RealArray, relative: bool) -> tuple[tuple[MeasuredMode, ...], float]:
+    """The modes with errors from the residuals' sensitivities; residuals that exceed the response's errors enlarge them."""
+    residuals = data.misfit(found)
+    free = residuals.size - data.parameters(found.shape[1])
+    scatter = float(np.sqrt(residuals @ residuals / free)) if free > 0 else inf
+    if not found.size:
+        return (), scatter
+    step = 1e-5
+    jacobian = np.stack(
+        [(data.misfit(found + step * e) - data.misfit(found - step * e)) / (2.0 * step)
+         for e in np.eye(found.size).reshape(-1, *found.shape)], axis=1,
+    )  # fmt: skip
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * (scatter if relative else max(scatter, 1.0)) ** 2
+    errors = np.sqrt(np.diag(covariance)).reshape(found.shape)
+    modes = []
+    for k in np.argsort(found[0]).tolist():
+        f, z = exp(found[0, k]) / (2.0 * pi), exp(found[1, k])
+        ends = [
+            tuple(value * exp(sign * NORMAL * error) for sign in (-1.0, 1.0))
+            for value, error in ((f, errors[0, k]), (z, errors[1, k]))
+        ]
+        modes.append(
+            MeasuredMode(
+                Metric(f, "Hz", name="natural_frequency", label="Natural frequency", error=f * errors[0, k]),
+                Metric(z, "1", name="damping_ratio", label="Damping ratio", error=z * errors[1, k]),
+                *ends,  # type: ignore[arg-type]
+            )
+        )
+    return tuple(modes), scatter
