@@ -1,8 +1,8 @@
 """FMUs of FMI 3.0 in the words of FMI 2.0, so that the same checks run both: a description, and the functions of a library.
 
 Co-simulation uses event mode where the FMU has clocks: communication points are ticks of the fastest one, at which its variables are
-set and read. Left out are arrays, Float32, binary variables, other clocked ones, clocks in model exchange and those whose intervals the
-description doesn't state, event mode without clocks, early return, and scheduled execution.
+set and read. Left out are arrays, Float32, binary variables, other clocked ones, clocks in model exchange and where one may tick within
+these steps, event mode without clocks, time events and early return of co-simulation, and scheduled execution.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _TYPES = {"Float64": "Real", "Boolean": "Boolean", "String": "String", "Enumerat
 """Type of FMI 3.0 → type of FMI 2.0."""
 
 _NEAR = 1e-6
-"""Rounding of instants, relative to intervals and steps."""
+"""Rounding of instants, relative to intervals."""
 
 _NAMES = {
     "GetReal": "GetFloat64",
@@ -67,8 +67,8 @@ def described(folder: Path) -> Any:
         element.providesDirectionalDerivative = type(element).__name__ in claims
     # scalars of the types that there are in FMI 2.0
     clocks = _clocks(description, root)
-    fastest = min((interval for interval, _ in clocks.values()), default=0.0), 0.0
-    ticking = {each for each, timing in clocks.items() if timing == fastest}
+    fastest = min(clocks.values(), default=0.0)
+    ticking = {each for each, interval in clocks.items() if interval == fastest}
     kept = [v for v in description.modelVariables if v.type in _TYPES and not v.dimensions]
     kept = [v for v in kept if not v.clocks or ticking & {clock.valueReference for clock in v.clocks}]
     types = {variable.valueReference: variable.type for variable in kept}
@@ -85,15 +85,19 @@ def described(folder: Path) -> Any:
     return SimpleNamespace(**asdict(description, recurse=False), **more)
 
 
-def _clocks(description: Any, root: ElementTree.Element) -> dict[int, tuple[float, float]]:
-    """Value reference → interval and shift [s] of the time-based clocks; empty if one has no stated interval, or without event mode."""
+def _clocks(description: Any, root: ElementTree.Element) -> dict[int, float]:
+    """Value reference → interval [s] of the time-based clocks, multiples of one of them; empty for others, and without event mode."""
     if description.modelExchange or not getattr(description.coSimulation, "hasEventMode", False):
         return {}
     found = [each for each in read_clocks(root) if not each.is_output and each.variability != TRIGGERED]
-    timing = {
-        each.reference: (each.interval, each.shift) for each in found if each.variability in PERIODIC and each.interval
-    }
-    return timing if len(timing) == len(found) else {}
+    known = {each.reference: each.interval or 0.0 for each in found if each.variability in PERIODIC and not each.shift}
+    fastest = min(known.values(), default=0.0)
+    regular = fastest > 0.0 and all(_is_whole(each / fastest) for each in known.values())
+    return known if regular and len(known) == len(found) else {}
+
+
+def _is_whole(number: float) -> bool:
+    return abs(number - round(number)) < _NEAR
 
 
 class _FMU3(Watched, fmi3._FMU3):  # type: ignore[misc]
@@ -101,11 +105,11 @@ class _FMU3(Watched, fmi3._FMU3):  # type: ignore[misc]
 
     Attributes:
         types: value reference → type of FMI 3.0.
-        clocks: value reference → interval and shift [s] of the clocks that tick.
+        clocks: value reference → interval [s] of the clocks that tick.
     """
 
     types: dict[int, str]
-    clocks: dict[int, tuple[float, float]]
+    clocks: dict[int, float]
 
     def setupExperiment(self, **experiment: Any) -> None:
         self._experiment = experiment
@@ -152,19 +156,18 @@ class FMU3SlaveLibrary(_FMU3, fmi3.FMU3Slave):  # type: ignore[misc]
 
     def doStep(self, time: float, length: float) -> None:
         """Make a step; raises `FMICallException` with fmi3Discard where the FMU terminates the simulation, as in FMI 2.0."""
-        self._terminates, until, end = False, time, time + length
-        while True:
-            time, until = until, self._leave_event_mode(until, end) if self.clocks else end
-            _, self._terminates, early, self._last = super().doStep(time, until - time)
-            if self._terminates:
-                raise FMICallException("fmi3DoStep", fmi3.fmi3Discard)
-            if early:
-                raise MisbehaviourError("fmi3DoStep returns early, though it must not", "make the whole step")
+        self._terminates = bool(self.clocks) and settled(self)[0]
+        if not self._terminates:
             if self.clocks:
-                self.enterEventMode()
-                self._tick(until)
-            if until == end:
-                return
+                self.enterStepMode()
+            _, self._terminates, early, self._last = super().doStep(time, length)
+            if early and not self._terminates:
+                raise MisbehaviourError("fmi3DoStep returns early, though it must not", "make the whole step")
+        if self._terminates:
+            raise FMICallException("fmi3DoStep", fmi3.fmi3Discard)
+        if self.clocks:
+            self.enterEventMode()
+            self._tick(time + length)
 
     def exitInitializationMode(self) -> None:
         super().exitInitializationMode()
@@ -172,26 +175,9 @@ class FMU3SlaveLibrary(_FMU3, fmi3.FMU3Slave):  # type: ignore[misc]
 
     def _tick(self, time: float) -> None:
         """Activate the clocks that tick at ``time``, in Event Mode."""
-        due = [each for each in self.clocks if (n := self._ticks(each, time)) >= 0.0 and n % 1.0 < 2.0 * _NEAR]
-        if due:
+        passed = time - self._experiment["startTime"]
+        if due := [each for each, interval in self.clocks.items() if _is_whole(passed / interval)]:
             self.setClock(due, [True] * len(due))
-
-    def _ticks(self, clock: int, time: float) -> float:
-        """Intervals from a clock's first tick to ``time`` and `_NEAR`; below 0 before it."""
-        interval, shift = self.clocks[clock]
-        return float(time - self._experiment["startTime"] - shift) / interval + _NEAR
-
-    def _leave_event_mode(self, time: float, end: float) -> float:
-        """Leave Event Mode; return the first instant from ``time`` to ``end`` at which a clock ticks or the FMU announces an event."""
-        self._terminates, event = settled(self)
-        if self._terminates:
-            raise FMICallException("fmi3UpdateDiscreteStates", fmi3.fmi3Discard)
-        self.enterStepMode()
-        event = event if event > time else math.inf
-        for each, (interval, shift) in self.clocks.items():
-            tick = max(0, math.floor(self._ticks(each, time)) + 1) * interval + shift
-            event = min(event, self._experiment["startTime"] + tick)
-        return event if event < end - _NEAR * (end - time) else end
 
     def getBooleanStatus(self, kind: int) -> bool:
         return bool(kind == fmi2.fmi2Terminated and self._terminates)

@@ -107,7 +107,7 @@ class FmuUnderTest:
         if stop <= self.start:
             stop = self.start + 1.0
         self.step = given["stepSize"] if given["stepSize"] > 0.0 else (stop - self.start) / _DEFAULT_STEPS
-        self.step = min((interval for interval, _ in self.clocks.values()), default=self.step)
+        self.step = min(self.description.clocks.values(), default=self.step) if self.is_fmi3 else self.step
         self.all_steps = max(1, round((stop - self.start) / self.step))
         self.stop = max(stop, self.start + self.all_steps * self.step)
         # errors below the accuracy are due to the solver
@@ -134,11 +134,6 @@ class FmuUnderTest:
     def is_fmi3(self) -> bool:
         """Whether the FMU is one of FMI 3.0."""
         return bool(self.description.fmiMajorVersion == 3)
-
-    @property
-    def clocks(self) -> dict[int, tuple[float, float]]:
-        """The clocks that tick: value reference → interval and shift [s]; none in FMI 2.0."""
-        return self.description.clocks if self.is_fmi3 else {}
 
     @property
     def can_save(self) -> bool:
@@ -222,7 +217,7 @@ class FmuUnderTest:
         library: Any = copy(self.library)
         identity, resources = (guid or self.description.guid).encode(), (self.folder / "resources").absolute()
         if self.is_fmi3:
-            library.types, library.clocks = self.description.types, self.clocks
+            library.types, library.clocks = self.description.types, self.description.clocks
             library.component = library.make(name.encode(), identity, f"{resources}{os.sep}".encode(), self._log)
         else:
             library.callbacks = self._callbacks
