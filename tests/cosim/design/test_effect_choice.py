@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_args
@@ -11,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from flexfmu.cosim.cli.main import app
-from flexfmu.cosim.design.effects import accuracy
+from flexfmu.cosim.design.effects import accuracy, estimator
 from flexfmu.cosim.design.effects.choice import choose_effects, resolved
 from flexfmu.cosim.design.effects.estimator import Estimator, richest, with_set
 from flexfmu.cosim.design.effects.runs import ObservedFigures, SceneRuns
@@ -27,7 +28,7 @@ from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.cosim.reports.summary import _beyond_tolerance
 from flexfmu.model.choice_text import choice_sentence
 from flexfmu.model.plants import build_model
-from flexfmu.model.scene.effects import Effects, FamilyName
+from flexfmu.model.scene.effects import FamilyName
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
@@ -109,16 +110,24 @@ class Pretended:
             scene, plan(scene).joints, ("peak_torque_1",), one_more(richest(scene), get_args(FamilyName))
         )
         monkeypatch.setattr(SceneRuns, "_observed", self.observed)
-        # equal estimates are made once, also by several choices
-        solution, made = Estimator._solution, dict[object, Any]()
+        # equal robots and estimates are made once, also by several choices
+        robot, solution, made = estimator.LinearizedMotion, Estimator._solution, dict[object, Any]()
 
-        def kept(estimator: Estimator, effects: Effects, sharp: bool) -> Any:
-            key = hash(estimator.richest.effects), hash(effects), sharp
+        def kept(key: object, make: Callable[[], Any]) -> Any:
             if key not in made:
-                made[key] = solution(estimator, effects, sharp)
+                made[key] = make()
             return made[key]
 
-        monkeypatch.setattr(Estimator, "_solution", kept)
+        monkeypatch.setattr(
+            estimator, "LinearizedMotion", lambda scene, grid: kept(hash(scene.effects), lambda: robot(scene, grid))
+        )
+        monkeypatch.setattr(
+            Estimator,
+            "_solution",
+            lambda own, effects, sharp: kept(
+                (hash(own.richest.effects), hash(effects), sharp), lambda: solution(own, effects, sharp)
+            ),
+        )
 
     def observed(self, scene: Scene) -> ObservedFigures:
         """What a run is pretended to show."""
