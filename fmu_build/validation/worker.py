@@ -76,15 +76,7 @@ CHECKS: dict[str, Check] = {
 }
 """Name of the finding → check. A check that doesn't apply to the FMU yields nothing; if the first fails, the others can't run."""
 
-SLAVE_ONLY = [
-    "rates",
-    "variable step",
-    "time",
-    "last successful time",
-    "input derivatives",
-    "output derivatives",
-    "clocked outputs",
-]
+SLAVE_ONLY = ["rates", "variable step", "time", "last successful time", "input derivatives", "output derivatives"]
 EXCHANGE_ONLY = ["derivatives", "states", "integrator steps", "time events", "event indicators", "interfaces"]
 """The checks that are for one interface."""
 
