@@ -1,4 +1,4 @@
-"""`flexfmu modes`, `margins`, `effects`, `tune`, `shaper` and `plan`: natural frequencies, distance from instability, and what each effect is
+"""`flexfmu modes`, `margins`, `response`, `effects`, `tune`, `shaper` and `plan`: natural frequencies, distance from instability, and what each effect is
 worth; gains and other keys of a scene, chosen by runs; input shapers, designed for a scene and tried; the best motion within limits."""
 
 from __future__ import annotations
@@ -52,6 +52,7 @@ def margins(
     scene: str,
     poses: Annotated[int, typer.Option(min=1)] = 5,
     payload_band: str | None = None,
+    response: Path | None = None,
     out: Path | None = None,
     settings: list[str] | None = None,
     json: bool = False,
@@ -66,10 +67,13 @@ def margins(
         poses (N): Equally spaced poses along the path, in addition to the worst ones; 1 for its end alone.
         payload_band (BAND): Payloads among which the worst one is searched, unknown to the controllers: 0.2 for 20 % to both
             sides, or 4,8 for 4 to 8 kg. Default: the scene's alone.
+        response (FILE): A measured response of the robot at the end of the path (.csv, .mat), in place of the model's in its band; margins
+            have standard errors. Default: the model's.
         out (DIR): Folder for margins.csv, bode.png, nyquist.png and root-locus.png. Default: no files.
     """
     from flexfmu.cosim.design.gains.robustness import band_masses, parse_band
     from flexfmu.cosim.design.margins.scene_margins import margins_data, margins_table, scene_margins, write_margins
+    from flexfmu.cosim.design.response.response import as_response
 
     robot = console.load_resolved(scene, settings)
     if out is not None:
@@ -77,7 +81,11 @@ def margins(
     masses = () if payload_band is None else band_masses(robot, parse_band(payload_band))
     with console.progress() as show:
         result = scene_margins(
-            robot, poses=poses, payloads=masses, progress=lambda fraction: show("margins along the path", fraction)
+            robot,
+            poses=poses,
+            payloads=masses,
+            response=as_response(response),
+            progress=lambda fraction: show("margins along the path", fraction),
         )
         files: list[Path] = []
         if out is not None:
@@ -87,6 +95,82 @@ def margins(
     data = {**margins_data(result), "files": [str(path) for path in files]}
     console.print_result(json, data, *margins_table(result), *where)
     return 0 if result.is_stable else console.FAILURE
+
+
+def response(
+    logs: list[Path],
+    inputs: list[str] | None = None,
+    outputs: list[str] | None = None,
+    period: float | None = None,
+    segment: float | None = None,
+    reference: list[str] | None = None,
+    between: str | None = None,
+    band: str | None = None,
+    continuous: bool = False,
+    modes: int | None = None,
+    out: Path | None = None,
+    json: bool = False,
+) -> int:
+    """Frequency response of a robot or loop from logs, or a file of one, with standard errors, coherence and modes.
+
+    Periodic excitation is averaged over its periods, anything else by Welch's method. Writes what `flexfmu margins --response` reads.
+
+    Args:
+        logs (LOG): Files with a column `time` and the signals (.csv, .mat, .parquet), experiments of one system; or without
+            --input a file of a response.
+        inputs (--input SIGNAL): Input, or a sum: joint1.torque+joint1.disturbance; may be repeated. Default: none, for a response.
+        outputs (--output SIGNAL): Output; may be repeated. Default: none, for a response.
+        period (SECONDS): Period of the excitation, of which the first is left out. Default: Welch's method.
+        segment (SECONDS): Length of Welch's segments. Default: eight over the log.
+        reference (SIGNAL): What excites a closed loop; may be repeated. Default: the input.
+        between (FROM:TO): Part of the logs in s, 0.7:5.7. Default: all.
+        band (FROM:TO): Frequencies in Hz, 1:400. Default: all that are excited.
+        continuous: The input isn't held between samples. Default: it is, as a controller's.
+        modes (N): Number of modes. Default: as many as the response shows.
+        out (DIR): Folder for response.csv and response.png. Default: no files.
+    """
+    from flexfmu.cosim.design.response.estimate import estimate_response
+    from flexfmu.cosim.design.response.response import FrequencyResponse
+    from flexfmu.cosim.engine.files import replacing
+    from flexfmu.cosim.reports.terminal import titled_table
+
+    if not inputs and not outputs and len(logs) == 1:
+        found = FrequencyResponse.read(logs[0])
+    elif not inputs or not outputs:
+        raise InputError("a response leads from an --input to an --output, names of signals of the log")
+    else:
+        interval = None if between is None else _interval("between", between)
+        found = estimate_response(
+            logs, inputs, outputs, period=period, segment=segment, reference=reference or (), between=interval,
+            band=None if band is None else _interval("band", band), held=not continuous,
+        )  # fmt: skip
+    fitted, files = found.modes(modes), list[Path]()
+    if out is not None:
+        folder = console.prepared_folder(out).path
+        files = [found.write(folder / "response.csv"), folder / "response.png"]
+        with replacing(files[1]) as path:
+            fitted.plot().savefig(path, format="png", dpi=130)
+    table = titled_table("Modes, ± standard errors", numbers=("frequency\nHz", "damping\n%"))
+    for each in fitted.modes:
+        pairs = (
+            (each.frequency, each.frequency.error or 0.0),
+            (100.0 * each.damping_ratio, 100.0 * (each.damping_ratio.error or 0.0)),
+        )
+        table.add_row(*(f"{value:.5g} ± {error:.2g}" for value, error in pairs))
+    data = {"response": found.rows(), "sample_time": found.sample_time, "modes": fitted.rows(), "misfit": fitted.misfit}
+    where = [f"files: {', '.join(map(str, files))}"] if files else []
+    misfit = f"residuals of the fit: {fitted.misfit:.3g} of the response's {'magnitude' if found.standard_error is None else 'standard errors'}"
+    console.print_result(json, data | {"files": [str(path) for path in files]}, repr(found), table, misfit, *where)
+    return 0
+
+
+def _interval(name: str, text: str) -> tuple[float, float]:
+    """The two numbers of an option."""
+    try:
+        low, high = map(float, text.split(":"))
+    except ValueError:
+        raise InputError(f"--{name} takes FROM:TO, two numbers, got {text!r}") from None
+    return low, high
 
 
 def effects(
@@ -135,6 +219,7 @@ def tune(
     minimise: str = "rms_tracking_error",
     subject_to: list[str] | None = None,
     payload_band: str | None = None,
+    response: Path | None = None,
     start: str | None = None,
     method: str = "gradient",
     trials: Annotated[int | None, typer.Option(min=2)] = None,
@@ -159,6 +244,7 @@ def tune(
             margin>6dB, phase_margin>40deg; may be repeated, or several with commas. Default: none.
         payload_band (BAND): Payloads for which the limits hold, unknown to the controllers: 0.2 for 20 % to both sides, or
             4,8 for 4 to 8 kg. Default: the scene's alone.
+        response (FILE): A measured response of the robot for margins, see `flexfmu margins`. Default: the model's.
         start (KIND:HZ): Begin with gains for a bandwidth, in place of the scene's controllers: pd:10, pid:10 or cascade:10;
             feedforward stays. Default: the scene's.
         method (NAME): How the best first trials are improved: gradient, by differences of runs; sample, not at all.
@@ -173,6 +259,7 @@ def tune(
     from flexfmu.cosim.design.gains.goals import split
     from flexfmu.cosim.design.gains.robustness import parse_band
     from flexfmu.cosim.design.gains.tuner import summary, tune_scene, write_tuned, write_tuning
+    from flexfmu.cosim.design.response.response import as_response
     from flexfmu.model.scene.keys import parse_setting
 
     console.check_scene_file(output)
@@ -189,6 +276,7 @@ def tune(
             minimise,
             split(subject_to or ()),
             payload_band=None if payload_band is None else parse_band(payload_band),
+            response=as_response(response),
             method=method,
             trials=trials,
             seed=seed,

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from flexfmu.cosim.cli import console
-from flexfmu.cosim.cli.design import effects, margins, modes, plan, shaper, tune
+from flexfmu.cosim.cli.design import effects, margins, modes, plan, response, shaper, tune
 from flexfmu.cosim.cli.export import build, cache, export, fmus, validate, wrap
 from flexfmu.cosim.cli.options import help_and_signature
 from flexfmu.cosim.cli.run import run
@@ -108,6 +108,7 @@ for _command in (
     paper,
     modes,
     margins,
+    response,
     effects,
     shaper,
     workprec,

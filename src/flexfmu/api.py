@@ -512,10 +512,9 @@ def margins(
     """
     from flexfmu.cosim.design.gains.robustness import band_masses
     from flexfmu.cosim.design.margins.scene_margins import model_margins, scene_margins
-    from flexfmu.cosim.design.response.response import FrequencyResponse as Response
+    from flexfmu.cosim.design.response.response import as_response
 
-    if isinstance(response, str | Path):
-        response = Response.read(response)
+    measured = as_response(response)
     if not isinstance(scene, str) and isinstance(scene, SymbolicModel | Sequence):
         if parts or payload_band is not None:
             raise InputError("payload_band and parts are for scenes; controllers of a model are slaves beside it")
@@ -526,7 +525,7 @@ def margins(
         raise InputError("connections and point are for a loop around a model from equations")
     robot = resolved(with_parts(as_scene(scene), parts))
     masses = () if payload_band is None else band_masses(robot, payload_band)
-    return scene_margins(robot, poses=poses, payloads=masses, response=response)
+    return scene_margins(robot, poses=poses, payloads=masses, response=measured)
 
 
 def frequency_response(
@@ -554,7 +553,8 @@ def frequency_response(
     Args:
         log: a CSV, ``.mat`` or ``.parquet`` file, a recording, a data frame, or a run; or a list of them, experiments of the same
             system. As many experiments as inputs, each exciting another one, tell inputs apart; one does with independent noise.
-        input, output: name or names of signals; a sum is one signal, ``"joint1.torque + joint1.disturbance"``.
+        input, output: name or names of signals; a sum is one signal, called like its first term,
+            ``"joint1.torque + joint1.disturbance"``.
         period: [s] of the excitation; None for Welch's method. The last whole periods of a log are taken.
         skip: number of periods that are left out at least, for the transient.
         segment: length [s] of Welch's segments, which overlap by half; by default eight of them cover a log.
@@ -741,6 +741,7 @@ def tune(
     subject_to: Sequence[str] = (),
     *,
     payload_band: float | tuple[float, float] | None = None,
+    response: FrequencyResponse | str | Path | None = None,
     method: str = "gradient",
     trials: int | None = None,
     seed: int = 0,
@@ -765,6 +766,7 @@ def tune(
         subject_to: conditions ``FIGURE < LIMIT`` or ``FIGURE > LIMIT``, in SI units or with a unit: ``settling_time < 20ms``.
         payload_band: payloads for which all metrics hold, which controllers, shapers and motion don't know: a fraction to both
             sides, or the lightest and the heaviest payload [kg]; None for the scene's alone.
+        response: of the robot, measured, for margins as in `flexfmu.margins`; metrics remain those of the model.
         method: what improves the best of the first trials: ``gradient``, by differences of runs;
             ``sample`` makes first trials alone.
         trials: number of trials; None for some 50 for each key.
@@ -788,6 +790,7 @@ def tune(
         TypeError: ``scene`` is of another type.
     """
     from flexfmu.cosim.design.gains.tuner import tune_scene, write_tuned, write_tuning
+    from flexfmu.cosim.design.response.response import as_response
 
     folder = None if out is None else Path(out)
     result = tune_scene(
@@ -796,6 +799,7 @@ def tune(
         minimise,
         subject_to,
         payload_band=payload_band,
+        response=as_response(response),
         method=method,
         trials=trials,
         seed=seed,

@@ -14,6 +14,7 @@ from typing import Any
 from flexfmu.cosim.design.gains.goals import MARGINS, Condition, Goal
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, failure_of, largest, robustness
 from flexfmu.cosim.design.margins.scene_margins import MarginsResult, scene_margins
+from flexfmu.cosim.design.response.response import FrequencyResponse
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.many.journal import WorkJournal, about_scene
@@ -94,6 +95,7 @@ class Study:
         minimise: the figure to minimise.
         conditions: limits of figures.
         band: payloads that all figures hold for, the worst of them; None for the scene's alone.
+        response: of the robot, that margins are those with, whatever the payload; None for the model's.
     """
 
     scene: Scene
@@ -101,6 +103,7 @@ class Study:
     minimise: Goal
     conditions: tuple[Condition, ...] = ()
     band: PayloadBand | None = None
+    response: FrequencyResponse | None = None
 
     @property
     def goals(self) -> tuple[Goal, ...]:
@@ -149,7 +152,7 @@ class Study:
             found = {name: largest([found[name], worst.worst[name].value]) for name in names}
         # margins take longer than runs
         if any(goal.is_margin for goal in self.goals):
-            found |= margin_figures(loop_margins(scene, self.band))
+            found |= margin_figures(loop_margins(scene, self.band, self.response))
         return Trial(values, found)
 
     def rank(self, trial: Trial) -> tuple[int, float]:
@@ -165,15 +168,18 @@ class UnstableLoopError(InputError):
     """The loop of a scene is unstable about a pose of its path."""
 
 
-def loop_margins(scene: Scene, band: PayloadBand | None = None) -> MarginsResult:
-    """Return the margins of a scene's loop along its path, and over a band of payloads.
+def loop_margins(
+    scene: Scene, band: PayloadBand | None = None, response: FrequencyResponse | None = None
+) -> MarginsResult:
+    """Return the margins of a scene's loop along its path and over a band of payloads, or at its end with a measured response.
 
     Raises:
         UnstableLoopError: the loop is unstable about a pose.
         InputError: it can't be linearised.
         TrajectoryError, EquilibriumError: as for `flexfmu.margins`.
     """
-    found = scene_margins(scene, poses=POSES, payloads=() if band is None else band_masses(scene, band))
+    masses = () if band is None or response is not None else band_masses(scene, band)
+    found = scene_margins(scene, poses=POSES, payloads=masses, response=response)
     worst = max(found.poses, key=lambda pose: pose.radius)
     if not worst.is_stable:
         payload = "" if band is None else f" with {worst.payload:.4g} kg"
@@ -229,4 +235,6 @@ def trial_journal(
         "figures": sorted({part for goal in study.goals for part in goal.parts}),
         "payload band": study.band,
     }
+    if study.response is not None:
+        about["response"] = study.response.rows()
     return WorkJournal(folder, "tuning", about, restart=restart, note=note, total=total)

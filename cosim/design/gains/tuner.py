@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,7 @@ from flexfmu.cosim.design.gains.goals import parse_condition, parse_goal
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses
 from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by_gradients
 from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, check_keys, trial_journal
+from flexfmu.cosim.design.response.response import FrequencyResponse
 from flexfmu.cosim.design.scene_files import changed_document, toml_item
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import OutputFolder, to_json, write_whole
@@ -152,6 +153,7 @@ def tune_scene(
     subject_to: Sequence[str] = (),
     *,
     payload_band: PayloadBand | None = None,
+    response: FrequencyResponse | None = None,
     method: str = "gradient",
     trials: int | None = None,
     seed: int = 0,
@@ -166,7 +168,7 @@ def tune_scene(
     Args:
         scene: the scene, its effects chosen.
         over: key → (from, to), or texts ``KEY=FROM:TO``.
-        minimise, subject_to, payload_band, method, trials, seed, processes: as for `flexfmu.tune`.
+        minimise, subject_to, payload_band, response, method, trials, seed, processes: as for `flexfmu.tune`.
         folder: where trials are kept; None for memory.
         restart: whether the trials of another tuning in the folder are discarded.
         show: is called with what is being done, and the finished fraction.
@@ -175,7 +177,10 @@ def tune_scene(
     intervals = _intervals(over)
     check_keys(scene, intervals)
     PreparedScene(scene).check_size(companion=False)
-    study = Study(scene, intervals, parse_goal(minimise), tuple(map(parse_condition, subject_to)), payload_band)
+    if response is not None:
+        response = replace(response, standard_error=None)  # errors of margins take longer than margins
+    conditions = tuple(map(parse_condition, subject_to))
+    study = Study(scene, intervals, parse_goal(minimise), conditions, payload_band, response)
     if payload_band is not None:
         band_masses(scene, payload_band)
     _check_figures(study)

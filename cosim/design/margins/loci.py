@@ -92,7 +92,7 @@ def loop_figures(
     sensitivity = np.asarray(np.linalg.inv(np.eye(matrices.shape[-1]) - matrices), complex)
     remains = gain_of(np.linalg.inv(np.eye(fundamental.shape[-1]) + fundamental))
     return (
-        float(gain), float(reduction) if reduction > 1.0 / LARGEST_GAIN else 0.0, float(np.abs(phases).min(initial=pi)),
+        float(gain), float(reduction) if reduction > 1.0 / LARGEST_GAIN else 0.0, float(np.abs([*phases, *angles]).min(initial=pi)),
         float(((angles % (2.0 * pi)) / at).min(initial=inf)), min(2.0, 2.0 / _disk_peak(sensitivity, of)),
         float(gain_of(sensitivity).max()), _crossing(frequency, remains - HALF_POWER, 1),
         _crossing(frequency, gain_of(fundamental) - 1.0, -1),

@@ -19,12 +19,14 @@ from scipy.linalg import expm
 from flexfmu.cosim.design.margins.linear_blocks import LinearBlock
 from flexfmu.cosim.design.margins.linear_loop import FINEST, ComplexArray, Continuous, LiftedLoop, LinearLoop
 from flexfmu.cosim.design.margins.loci import loop_figures, margins_with_errors, refined
-from flexfmu.cosim.design.margins.margins import ALL, LoopMargins, PoseMargins, frequencies_of
+from flexfmu.cosim.design.margins.margins import FIGURES, LoopMargins, OpenLoop, PoseMargins, frequencies_of
 from flexfmu.cosim.design.margins.scene_loop import WiredSystem
 from flexfmu.cosim.design.response.response import FrequencyResponse
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.contract import LinearPlant
 from flexfmu.trajectories.jets import RealArray
+
+DELAY = FIGURES.index("delay_margin")
 
 END = 1e-9
 """Relative error of a frequency that is half that of the period."""
@@ -279,21 +281,29 @@ class MeasuredCut:
         found = self.matrices(omega) if matrices is None else matrices
         return np.asarray(-(turned / np.bincount(of)).conj().swapaxes(1, 2) @ found @ turned)
 
-    def margins(self, name: str, grid: RealArray, draws: Sequence[ComplexArray]) -> LoopMargins:
-        """The margins of the stable loop, by frequencies (N,) [rad/s] and others about them; errors by what keeps the frequency."""
+    def margins(
+        self, row: LoopMargins, opened: OpenLoop, grid: RealArray, draws: Sequence[ComplexArray]
+    ) -> LoopMargins:
+        """The margins of the stable loop, by frequencies (N,) [rad/s] and others about them; errors by what keeps the frequency.
+
+        A delay turns what keeps the frequency. How the aliases move its margin is as with the model, by its margins and open loop.
+        """
         of, top = (
             np.array([i for (i, _), inside in zip(self.loop.fed, self._inside, strict=True) if inside]),
             pi / self.period,
         )
         omega = refined(self.matrices, of, grid, top)
         found = self.matrices(omega)
-        figures = loop_figures(omega, found, of, self.fundamental(omega, found), top)
 
-        def of_draw(draw: ComplexArray) -> tuple[float, ...]:
-            kept = self.fundamental(omega, self.matrices(omega, draw))
-            return loop_figures(omega, -kept, np.arange(len(self.channels)), kept)
+        def kept(fundamental: ComplexArray) -> tuple[float, ...]:
+            return loop_figures(omega, -fundamental, np.arange(len(self.channels)), fundamental)
 
-        return margins_with_errors(name, figures, map(of_draw, draws))
+        figures = [*loop_figures(omega, found, of, self.fundamental(omega, found), top)]
+        own = kept(opened.fundamental(omega))[DELAY]
+        if 0.0 < row.delay_margin < inf and own < inf:
+            figures[DELAY] *= row.delay_margin / own
+        drawn = (kept(self.fundamental(omega, self.matrices(omega, draw))) for draw in draws)
+        return margins_with_errors(row.channel, tuple(figures), drawn)
 
 
 def measured_margins(loop: MeasuredLoop, names: Sequence[str], model: PoseMargins) -> PoseMargins:
@@ -310,7 +320,8 @@ def measured_margins(loop: MeasuredLoop, names: Sequence[str], model: PoseMargin
     cuts = [MeasuredCut(loop, (i,)) for i in everything] + ([MeasuredCut(loop, everything)] if len(names) > 1 else [])
     # of an unstable loop there are none
     draws = [] if unstable else loop.response.drawn()
-    rows = [each.margins(name, grid, draws) for each, name in zip(cuts, (*names, ALL), strict=False)]
+    known = zip(cuts, model.loops, model.open, strict=True)
+    rows = [cut.margins(row, opened, grid, draws) for cut, row, opened in known]
     if unstable:
         rows = [LoopMargins.of(each.channel, 1.0, 1.0, 0.0, 0.0, 0.0, nan, nan, each.crossover) for each in rows]
     none = np.zeros(0, complex)

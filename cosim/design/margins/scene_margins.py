@@ -248,6 +248,9 @@ def margins_table(result: MarginsResult) -> list[RenderableType]:
                 # of an unstable loop the crossover alone means something
                 texts = _texts(row) if pose.is_stable else [*"-" * 7, _texts(row)[-1]]
                 tables[-1].add_row(f"{pose.s:.2f}", row.channel.removesuffix(".torque"), *texts)
+                if row.gain_margin.error is not None or row.phase_margin.error is not None:
+                    errors = [nan if (error := getattr(row, name).error) is None else error for name in FIGURES]
+                    tables[-1].add_row("", "± standard error", *_texts(LoopMargins.of("", *errors)))
     tables[-1].add_row("", "worst", *_texts(result.worst))
     warning = [Text(f"warning: {result.coarse_counts}", style="yellow")] if result.coarse_counts else []
     return [*tables, Text(result.verdict), *warning]

@@ -90,9 +90,9 @@ def estimate_response(
         )
     response, error, coherence = _solved(x[:, inside], y[:, inside], z[:, inside], worth)
     sample_time = step if held and even else None
-    return FrequencyResponse(
-        frequency[inside], response, tuple(inputs), tuple(outputs), units, error, coherence, sample_time
-    )
+    # a sum is called like its first term
+    named = (tuple(each.split("+")[0].strip() for each in names) for names in (inputs, outputs))
+    return FrequencyResponse(frequency[inside], response, *named, units, error, coherence, sample_time)
 
 
 def _signals(
@@ -121,7 +121,7 @@ def _signals(
             )
     if len(time) < LEAST:
         raise InputError(f"{what} has {len(time)} samples: a response needs at least {LEAST}")
-    units = {name: recording[name.split("+")[0].strip()].unit for name in names}
+    units = {first: recording[first].unit for first in (name.split("+")[0].strip() for name in names)}
     values = np.array([sum(columns[term.strip()] for term in name.split("+")) for name in names])
     step = float(np.median(np.diff(time)))
     parts = 1 if period is None else max(round(period / step), 1)

@@ -31,6 +31,9 @@ STARTS, RATIOS = 80, (0.002, 0.02, 0.2)
 NORMAL = 1.959963984540054
 """Standard errors from the value to the ends of an interval that holds the truth in 95 % of cases."""
 
+UNKNOWN = 100.0
+"""Logarithm of the ratio from a value to the end of an interval that nothing limits."""
+
 EXACT = 1e-8
 """Relative error of a fit below which it is exact."""
 
@@ -120,9 +123,9 @@ def fitted_modes(
         )
 
     def criterion(residuals: RealArray, modes: int) -> float:
-        # without errors the size of the residuals is one more parameter
+        # the size of the residuals is one more parameter: they may be larger than the response's errors
         square = max(float(residuals @ residuals), size * EXACT**2)
-        return (size * log(square / size) if relative else square) + data.parameters(modes) * log(size)
+        return size * log(square / size) + data.parameters(modes) * log(size)
 
     found = np.zeros((2, 0))
     best = criterion(data.misfit(found), 0)
@@ -175,7 +178,7 @@ def _modes(data: _Data, found: RealArray, relative: bool) -> tuple[tuple[Measure
     for k in np.argsort(found[0]).tolist():
         f, z = exp(found[0, k]) / (2.0 * pi), exp(found[1, k])
         ends = [
-            tuple(value * exp(sign * NORMAL * error) for sign in (-1.0, 1.0))
+            tuple(value * float(np.exp(sign * min(NORMAL * error, UNKNOWN))) for sign in (-1.0, 1.0))
             for value, error in ((f, errors[0, k]), (z, errors[1, k]))
         ]
         modes.append(

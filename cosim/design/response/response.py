@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
+from scipy.io import loadmat, savemat
 
 from flexfmu.cosim.design.margins.loci import loop_figures, margins_with_errors, refined
 from flexfmu.cosim.design.margins.margins import LoopMargins
@@ -19,10 +21,12 @@ from flexfmu.cosim.design.response.modal_fit import MeasuredMode, fitted_modes
 from flexfmu.cosim.engine.errors import InputError, SignalFileError
 from flexfmu.cosim.engine.files import replacing
 from flexfmu.cosim.engine.measured import table_of
-from flexfmu.cosim.engine.showing import UNITS, Rows, csv_text
+from flexfmu.cosim.engine.showing import UNITS, Rows
+from flexfmu.errors import read_text
 from flexfmu.trajectories.jets import RealArray
 
 if TYPE_CHECKING:
+    import control
     from matplotlib.figure import Figure
 
 ComplexArray = NDArray[np.complex128]
@@ -80,7 +84,7 @@ class FrequencyResponse(Rows):
     coherence: RealArray | None = None
     sample_time: float | None = None
 
-    row_name = "frequency"
+    row_name = "frequency [Hz]"
 
     def __post_init__(self) -> None:
         n, shape = len(self.frequency), (len(self.frequency), len(self.outputs), len(self.inputs))
@@ -151,53 +155,30 @@ class FrequencyResponse(Rows):
         path = Path(path)
         if path.suffix.lower() not in (".csv", ".mat"):
             raise InputError(f"a frequency response is written to a .csv or .mat file, not to {path.name}")
+        arrays = {
+            "ResponseData": np.moveaxis(self.response, 0, 2), "Frequency": self.frequency, "FrequencyUnit": "Hz",
+            "Ts": self.sample_time or 0.0, "InputName": np.array(self.inputs, object),
+            "OutputName": np.array(self.outputs, object), "standard_error": self.standard_error, "coherence": self.coherence,
+        }  # fmt: skip
         with replacing(path) as file:
-            if path.suffix.lower() == ".csv":
-                rows = [
-                    {"frequency [Hz]" if name == "frequency" else name: each for name, each in row.items()}
-                    for row in self.rows()
-                ]
-                rows = [
-                    {name: each for name, each in row.items() if not name.endswith((" magnitude", " phase"))}
-                    for row in rows
-                ]
+            if path.suffix.lower() == ".mat":
+                savemat(file, {name: each for name, each in arrays.items() if each is not None}, appendmat=False)
+            else:
                 note = "" if self.sample_time is None else f"# sample time {self.sample_time!r} s\n"
-                file.write_text(note + csv_text(rows), encoding="utf-8")
-                return path
-            from scipy.io import savemat
-
-            arrays = {"standard_error": self.standard_error, "coherence": self.coherence}
-            savemat(
-                file,
-                {
-                    "ResponseData": np.moveaxis(self.response, 0, 2), "Frequency": self.frequency, "FrequencyUnit": "Hz",
-                    "Ts": self.sample_time or 0.0, "InputName": np.array(self.inputs, object), "OutputName": np.array(self.outputs, object),
-                    **{name: each for name, each in arrays.items() if each is not None},
-                }, appendmat=False,
-            )  # fmt: skip
+                file.write_text(note + self.to_csv(), encoding="utf-8")
         return path
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row for each frequency: of each pair real and imaginary part, magnitude, phase [rad], and what is known of their errors."""
-        found: list[dict[str, Any]] = [{"frequency": f} for f in self.frequency.tolist()]
-        for (o, output), (i, name) in ((a, b) for a in enumerate(self.outputs) for b in enumerate(self.inputs)):
+        """A row for each frequency: of each pair magnitude and phase, and what is known of their errors."""
+        columns = {"frequency [Hz]": self.frequency}
+        for (o, output), (i, name) in product(enumerate(self.outputs), enumerate(self.inputs)):
             value = self.response[:, o, i]
-            parts = {
-                "real": value.real,
-                "imaginary": value.imag,
-                "magnitude": np.abs(value),
-                "phase": np.unwrap(np.angle(value)),
-            }
-            parts |= {} if self.standard_error is None else {"standard error": self.standard_error[:, o, i]}
-            parts |= {} if self.coherence is None else {"coherence": self.coherence[:, o]}
-            for part, values in parts.items():
-                for row, each in zip(found, values.tolist(), strict=True):
-                    row[f"{output}/{name} {part}"] = each
-        return found
-
-    def row_units(self) -> Mapping[str, str]:
-        """Of the columns."""
-        return {"frequency": "Hz"} | {f"{o}/{i} phase": "rad" for o in self.outputs for i in self.inputs}
+            columns |= {f"{output}/{name} magnitude": np.abs(value), f"{output}/{name} phase [rad]": np.angle(value)}
+            if self.standard_error is not None:
+                columns[f"{output}/{name} standard error"] = self.standard_error[:, o, i]
+            if self.coherence is not None:
+                columns[f"{output}/{name} coherence"] = self.coherence[:, o]
+        return [dict(zip(columns, row, strict=True)) for row in np.column_stack([*columns.values()]).tolist()]
 
     def at(self, frequency: RealArray, draws: ComplexArray | None = None) -> ComplexArray:
         """The response at frequencies (M,) [Hz] within its band, (M, outputs, inputs), by cubic splines over their logarithms.
@@ -214,26 +195,17 @@ class FrequencyResponse(Rows):
         """`DRAWS` responses with errors of their standard errors, always the same; none where these aren't known."""
         if self.standard_error is None:
             return []
-        rng, size = np.random.default_rng(0), self.response.shape
-        return [
-            self.response + self.standard_error * (rng.standard_normal(size) + 1j * rng.standard_normal(size))
-            for _ in range(DRAWS)
-        ]
+        errors = np.random.default_rng(0).standard_normal((DRAWS, 2, *self.response.shape)) * self.standard_error
+        return [*(self.response + errors[:, 0] + 1j * errors[:, 1])]
 
-    def to_control(self) -> Any:
-        """The response as frequency response data of python-control.
-
-        Raises:
-            ImportError: python-control isn't installed.
-        """
+    def to_control(self) -> control.FrequencyResponseData:
+        """The response as data of python-control, whose names have underscores for dots."""
         import control
 
-        labels = {
-            "inputs": [each.replace(".", "_") for each in self.inputs],
-            "outputs": [each.replace(".", "_") for each in self.outputs],
-        }
-        dt = 0 if self.sample_time is None else self.sample_time
-        return control.frd(np.moveaxis(self.response, 0, 2), 2.0 * pi * self.frequency, dt=dt, **labels)
+        names = {key: [each.replace(".", "_") for each in getattr(self, key)] for key in ("inputs", "outputs")}
+        return control.frd(
+            np.moveaxis(self.response, 0, 2), 2.0 * pi * self.frequency, dt=self.sample_time or 0, **names
+        )
 
     def margins(self) -> LoopMargins:
         """The margins of the loop that this is the open loop's response of, for negative feedback, each with its standard error.
@@ -247,16 +219,18 @@ class FrequencyResponse(Rows):
             raise InputError(f"a loop has as many outputs as inputs, got {len(self.outputs)} and {len(self.inputs)}")
         channels = np.arange(len(self.inputs))
 
-        def figures(omega: RealArray, draws: ComplexArray | None) -> tuple[float, ...]:
-            found = self.at(omega / (2.0 * pi), draws)
-            return loop_figures(omega, -found, channels, found)
-
         between = np.linspace(np.log(self.frequency[:-1]), np.log(self.frequency[1:]), FINER, endpoint=False)
-        grid = 2.0 * pi * np.append(np.exp(between.T.ravel()), self.frequency[-1])
-        grid[::FINER], last = 2.0 * pi * self.frequency, 2.0 * pi * self.frequency[-1]
-        omega = refined(lambda each: -self.at(np.minimum(each, last) / (2.0 * pi)), channels, grid)
-        drawn = (figures(omega, each) for each in self.drawn())
-        return margins_with_errors("loop", figures(omega, None), drawn)
+        low, high = 2.0 * pi * self.frequency[[0, -1]]
+
+        def loop(omega: RealArray, draws: ComplexArray | None = None) -> ComplexArray:
+            return self.at(np.clip(omega, low, high) / (2.0 * pi), draws)
+
+        grid = np.append(2.0 * pi * np.exp(between.T.ravel()), high)
+        omega = refined(lambda each: -loop(each), channels, grid)
+        figures = [
+            loop_figures(omega, -each, channels, each) for each in (loop(omega, draw) for draw in (None, *self.drawn()))
+        ]
+        return margins_with_errors("loop", figures[0], figures[1:])
 
     def modes(self, count: int | None = None) -> Modes:
         """Natural frequencies and damping ratios within the band, with standard errors and 95 % intervals.
@@ -273,7 +247,12 @@ class FrequencyResponse(Rows):
 
     def plot(self) -> Figure:
         """Magnitude with its standard error [dB], phase [degrees] and coherence over the frequency [Hz], a curve for each pair."""
-        return _drawn(self)
+        return _drawn(self, ())
+
+
+def as_response(source: FrequencyResponse | str | Path | None) -> FrequencyResponse | None:
+    """Return the response that a file has, if it is one; errors as for `FrequencyResponse.read`."""
+    return FrequencyResponse.read(source) if isinstance(source, str | Path) else source
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -297,49 +276,41 @@ class Modes(Rows):
         return f"{len(self.modes)} modes: {listed}" if listed else "no modes"
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row for each mode."""
+        """A row for each mode, frequencies in Hz."""
         return [
             {
-                "frequency": float(each.frequency), "frequency_error": each.frequency.error, "damping_ratio": float(each.damping_ratio),
-                "damping_ratio_error": each.damping_ratio.error, "frequency_interval": list(each.frequency_interval),
-                "damping_ratio_interval": list(each.damping_interval),
+                "frequency": float(each.frequency), "frequency_error": each.frequency.error,
+                "frequency_interval": list(each.frequency_interval), "damping_ratio": float(each.damping_ratio),
+                "damping_ratio_error": each.damping_ratio.error, "damping_ratio_interval": list(each.damping_interval),
             } for each in self.modes
         ]  # fmt: skip
-
-    def row_units(self) -> Mapping[str, str]:
-        """Hz, for frequencies."""
-        return {"frequency": "Hz", "frequency_error": "Hz", "frequency_interval": "Hz"}
 
     def plot(self) -> Figure:
         """The response with its modes."""
         return _drawn(self.response, [float(each.frequency) for each in self.modes])
 
 
-def _drawn(response: FrequencyResponse, modes: Sequence[float] = ()) -> Figure:
+def _drawn(response: FrequencyResponse, modes: Sequence[float]) -> Figure:
     from flexfmu.cosim.reports.figure_style import GREY, draw, style  # Matplotlib takes longer than most commands
 
-    coherence = response.coherence
+    f, error = response.frequency, 0.0 if response.standard_error is None else response.standard_error
+    sizes, phases = np.abs(response.response), np.degrees(np.unwrap(np.angle(response.response), axis=0))
+    low, high = (20.0 * np.log10(np.maximum(each, 1e-3 * sizes)) for each in (sizes - error, sizes + error))
     with style():
         figure = draw(8.0, 6.0)
-        axes = figure.subplots(2 if coherence is None else 3, 1, sharex=True)
-        for o, output in enumerate(response.outputs):
-            for i, name in enumerate(response.inputs):
-                value = response.response[:, o, i]
-                (line,) = axes[0].semilogx(
-                    response.frequency, 20.0 * np.log10(np.abs(value)), label=f"{output} / {name}"
-                )
-                axes[1].semilogx(response.frequency, np.degrees(np.unwrap(np.angle(value))), color=line.get_color())
-                if response.standard_error is not None:
-                    size, error = np.abs(value), response.standard_error[:, o, i]
-                    ends = [20.0 * np.log10(np.maximum(each, 1e-3 * size)) for each in (size - error, size + error)]
-                    axes[0].fill_between(response.frequency, *ends, color=line.get_color(), alpha=0.3, linewidth=0.0)
-            if coherence is not None:
-                axes[2].semilogx(response.frequency, coherence[:, o], label=output)
-        for each in axes:
-            for frequency in modes:
-                each.axvline(frequency, color=GREY, linewidth=0.8, linestyle=":")
+        axes = figure.subplots(2 if response.coherence is None else 3, 1, sharex=True)
+        for o, i in np.ndindex(sizes.shape[1:]):
+            (line,) = axes[0].semilogx(
+                f, 20.0 * np.log10(sizes[:, o, i]), label=f"{response.outputs[o]} / {response.inputs[i]}"
+            )
+            axes[0].fill_between(f, low[:, o, i], high[:, o, i], color=line.get_color(), alpha=0.3, linewidth=0.0)
+            axes[1].semilogx(f, phases[:, o, i], color=line.get_color())
+        if response.coherence is not None:
+            axes[2].semilogx(f, response.coherence)
         for each, text in zip(axes, ("magnitude [dB]", "phase [°]", "coherence"), strict=False):
             each.set_ylabel(text)
+            for frequency in modes:
+                each.axvline(frequency, color=GREY, linewidth=0.8, linestyle=":")
         axes[0].legend(fontsize=7.5)
         axes[-1].set_xlabel("frequency [Hz]")
     return figure
@@ -347,56 +318,51 @@ def _drawn(response: FrequencyResponse, modes: Sequence[float] = ()) -> Figure:
 
 def _from_csv(path: Path) -> dict[str, Any]:
     """The arguments of a response from a CSV file."""
-    table = table_of(path)
-    usual = {alias: part for part, aliases in PARTS.items() for alias in aliases}
-    found: dict[tuple[str, str], dict[str, ComplexArray]] = {}
-    frequency = None
+    table, frequency = table_of(path), None
+    found: dict[tuple[str, str], dict[str, Any]] = {}
     for name, values in table.table.items():
-        pair, _, last = name.rpartition(" ") if "/" in name else ("", "", name)
-        if pair.endswith(" standard"):
-            pair, last = pair.removesuffix(" standard"), "standard error"
-        unit, decibel = table.units.get(name, ""), re.fullmatch(r"(.+?)[ _]*db", last.lower())
-        if (part := usual.get(decibel[1] if decibel else last.lower())) is None:
-            continue
+        # OUTPUT/INPUT before what it is, of which decibels may be a part
+        output, of, text, decibel = re.fullmatch(
+            r"(?:(.+)/(.+?) (?=standard|\S+$))?(.+?)([ _]+db)?", name, re.IGNORECASE
+        ).groups()  # type: ignore[union-attr]
+        unit, part = (
+            table.units.get(name, ""),
+            next((each for each, names in PARTS.items() if text.lower() in names), None),
+        )
         if part == "frequency":
-            unit = unit or ("Hz" if last.lower() in ("frequency", "freq", "f") else "rad/s")
-            frequency = values * _factor(path, name, unit, PER_SECOND)
-            continue
-        if part == "magnitude" and (decibel or unit.lower() == "db"):
-            values = 10.0 ** (values / 20.0)
-        elif part == "phase":
-            values = values * _factor(path, name, unit, {key: UNITS[key][1] for key in ("rad", "deg", "°")})
-        output, _, of = pair.partition("/")
-        found.setdefault((output or "output", of or "input"), {})[part] = values
+            usual = "rad/s" if text.lower() in ("omega", "w") else "Hz"
+            frequency = values * _factor(path, name, unit or usual, PER_SECOND)
+        elif part is not None:
+            if part == "phase":
+                values = values * _factor(path, name, unit, {each: UNITS[each][1] for each in ("rad", "deg", "°")})
+            elif decibel or unit.lower() == "db":
+                values = 10.0 ** (values / 20.0)
+            found.setdefault((output or "output", of or "input"), {})[part] = values
     if frequency is None:
         raise SignalFileError(f"{path} has no column `frequency`; columns: {', '.join(table.table)}")
     outputs, inputs = (tuple(dict.fromkeys(pair[k] for pair in found)) for k in (0, 1))
-    if not found or len(found) != len(outputs) * len(inputs):
+    pairs = [found.get(pair, {}) for pair in product(outputs, inputs)]
+    for each in pairs:
+        if {"magnitude", "phase"} <= each.keys():
+            each["response"] = each["magnitude"] * np.exp(1j * each["phase"])
+        elif {"real", "imaginary"} <= each.keys():
+            each["response"] = each["real"] + 1j * each["imaginary"]
+    if not pairs or not all("response" in each for each in pairs):
+        need = "`magnitude` and `phase [deg]`, or `real` and `imaginary`"
         raise SignalFileError(
-            f"{path} has no response for each output and input: columns `real` and `imaginary`, or `magnitude` and `phase [deg]`"
+            f"{path} has no response of each output to each input: that needs {need}; columns: {', '.join(table.table)}"
         )
-    parts: dict[str, list[Any]] = {"response": [], "standard_error": [], "coherence": []}
-    for output, of in ((o, i) for o in outputs for i in inputs):
-        given = found[output, of]
-        if {"real", "imaginary"} <= given.keys():
-            parts["response"].append(given["real"] + 1j * given["imaginary"])
-        elif {"magnitude", "phase"} <= given.keys():
-            parts["response"].append(given["magnitude"] * np.exp(1j * given["phase"]))
-        else:
-            raise SignalFileError(
-                f"{path} has {', '.join(given)}: a response needs `real` and `imaginary`, or `magnitude` and `phase [deg]`"
-            )
-        parts["standard_error"].append(given.get("standard error"))
-        parts["coherence"] += [given.get("coherence")] if of == inputs[0] else []
-    shape = (len(frequency), len(outputs), len(inputs))
-    arrays = {
-        name: np.stack(each, axis=1).reshape(shape if name != "coherence" else shape[:2])
-        for name, each in parts.items() if not any(one is None for one in each)
-    }  # fmt: skip
-    note = re.match(r"# sample time (\S+) s", path.read_text(encoding="utf-8-sig").partition("\n")[0])
+    stacked = {
+        key: np.stack([each[part] for each in pairs], axis=1)
+        for key, part in (("response", "response"), ("standard_error", "standard error"), ("coherence", "coherence"))
+        if all(part in each for each in pairs)
+    }
+    if "coherence" in stacked:
+        stacked["coherence"] = stacked["coherence"][:, :: len(inputs)]
+    note = re.match(r"# sample time (\S+) s", read_text(path))
     return {
         "frequency": frequency,
-        **arrays,
+        **stacked,
         "inputs": inputs,
         "outputs": outputs,
         "sample_time": float(note[1]) if note else None,
@@ -404,62 +370,52 @@ def _from_csv(path: Path) -> dict[str, Any]:
 
 
 def _factor(path: Path, name: str, unit: str, known: Mapping[str, float]) -> float:
+    """The factor of a column's unit, which stands in brackets behind its name."""
     if unit not in known:
         raise InputError(
-            f"{path}: column {name!r} has the unit {unit!r}; it needs one of {', '.join(known)} in brackets: `{name} [{next(iter(known))}]`"
+            f"{path}: {name} has the unit {unit!r}; it needs one of {', '.join(known)}: `{name} [{next(iter(known))}]`"
         )
     return known[unit]
 
 
 def _from_mat(path: Path) -> dict[str, Any]:
     """The arguments of a response from a .mat file."""
-    from scipy.io import loadmat
-
     try:
-        content: Any = loadmat(path, appendmat=False)
+        content: dict[str, Any] = loadmat(path, appendmat=False)
     except (OSError, NotImplementedError, ValueError, TypeError) as error:
-        raise SignalFileError(f"can't read {path}: {error}; in MATLAB save it with -v7") from error
+        raise SignalFileError(f"can't read {path}: {error}; MATLAB saves what can be read with -v7") from error
     # the file itself, or a struct in it
-    levels = [content] + [
-        {name: each[name].flat[0] for name in each.dtype.names}
-        for each in content.values()
-        if getattr(each, "dtype", None) is not None and each.dtype.names and each.size
-    ]
-    for level in levels:
+    structs = [each for each in content.values() if isinstance(each, np.ndarray) and each.dtype.names and each.size]
+    for level in (content, *({name: each[name].flat[0] for name in each.dtype.names} for each in structs)):
         data = {name.lower(): each for name, each in level.items()}
-        values = next((data[name] for name in ("responsedata", "fresp", "frdata", "response") if name in data), None)
-        name = next((name for name in ("frequency", "omega", "w", "freq") if name in data), None)
-        if values is not None and name is not None:
+        values = next((data[each] for each in ("responsedata", "fresp", "frdata", "response") if each in data), None)
+        name = next((each for each in ("frequency", "omega", "freq", "w") if each in data), "")
+        if values is not None and name:
             break
     else:
         raise SignalFileError(
-            f"{path} has no arrays ResponseData and Frequency, nor fresp and omega; save those of an idfrd object: ResponseData = G.ResponseData;"
+            f"{path} has no arrays ResponseData and Frequency, nor fresp and omega; of an idfrd object G save G.ResponseData and G.Frequency"
         )
-    f = np.ravel(data[name]).astype(float)
-    unit = _texts(
-        data.get("frequencyunit", data.get("frequencyunits", data.get("units", "Hz" if name == "freq" else "rad/s")))
-    )[0]
-    f = f * _factor(path, str(name), unit, PER_SECOND)
-    values = np.asarray(values, complex)
-    if values.ndim < 3:
-        values = values.reshape(-1, len(f)) if len(f) else values
-        inputs = len(_texts(data["inputname"])) if "inputname" in data else 1
-        values = values.reshape(-1, inputs, len(f)) if len(f) else values
+    f, values = np.ravel(data[name]).astype(float), np.asarray(values, complex)
+    unit = _texts(next((data[each] for each in ("frequencyunit", "frequencyunits", "units") if each in data), "rad/s"))[
+        0
+    ]
+    if values.size == f.size:
+        values = values.reshape(1, 1, -1)
     if values.shape[2:] != f.shape:
         raise SignalFileError(
-            f"{path}: a response of the shape {values.shape} for {len(f)} frequencies; it must be (outputs, inputs, frequencies)"
+            f"{path}: {values.shape} values for {len(f)} frequencies; they must be (outputs, inputs, frequencies)"
         )
-    found: dict[str, Any] = {"frequency": f, "response": np.moveaxis(values, 2, 0)}
-    for key, name, size in (("inputs", "inputname", values.shape[1]), ("outputs", "outputname", values.shape[0])):
-        texts = _texts(data[name]) if name in data else ()
-        usual = tuple(f"{key[:-1]}{k + 1}" for k in range(size)) if size > 1 else (key[:-1],)
-        found[key] = texts if len(texts) == size and all(texts) else usual
-    if (step := float(np.ravel(data.get("ts", 0.0))[0])) > 0.0:
-        found["sample_time"] = step
-    if "covariancedata" in data and np.ndim(data["covariancedata"]) == 5:
-        covariance = np.asarray(data["covariancedata"], float)
-        found["standard_error"] = np.moveaxis(np.sqrt(0.5 * (covariance[..., 0, 0] + covariance[..., 1, 1])), 2, 0)
-    return found | {name: data[name] for name in ("standard_error", "coherence") if name in data}
+    step = float(np.ravel(data.get("ts", 0.0))[0])
+    names = {key: _texts(data.get(label, ())) for key, label in (("outputs", "outputname"), ("inputs", "inputname"))}
+    for (key, known), size in zip(names.items(), values.shape, strict=False):
+        if len(known) != size or not all(known):
+            names[key] = (key[:-1],) if size == 1 else tuple(f"{key[:-1]}{k + 1}" for k in range(size))
+    more = {key: data[key] for key in ("standard_error", "coherence") if key in data}
+    if (covariance := data.get("covariancedata")) is not None and np.ndim(covariance) == 5:
+        more["standard_error"] = np.moveaxis(np.sqrt(0.5 * (covariance[..., 0, 0] + covariance[..., 1, 1])), 2, 0)
+    frequency = f * _factor(path, name, unit, PER_SECOND)
+    return {"frequency": frequency, "response": np.moveaxis(values, 2, 0), "sample_time": step or None, **names, **more}
 
 
 def _texts(value: Any) -> tuple[str, ...]:

@@ -122,9 +122,9 @@ def test_written_responses_are_read_again(tmp_path: Path, suffix: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("f,x\n1,2\n2,3", "no response for each"),
+        ("f,x\n1,2\n2,3", "no response of each"),
         ("magnitude,phase [deg]\n1,2\n2,3", "no column `frequency`"),
-        ("f,mag,phase\n1,2,3\n2,3,4", r"column 'phase' has the unit ''.*phase \[rad\]"),
+        ("f,mag,phase\n1,2,3\n2,3,4", r"phase has the unit ''.*phase \[rad\]"),
         ("f,real,imag\n2,2,3\n1,3,4", "ascend"),
         ("f,real,imag\n1,2,3\n2,,4", "isn't finite at 2 Hz"),
     ],
