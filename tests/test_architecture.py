@@ -86,7 +86,6 @@ ALONE = {
     "cosim.design.plans.search": "a method of the planner",
     "cosim.design.plans.robustness": "a plan in other models",
     "cosim.design.plans.sequential_programme": "the search's optimiser",
-    "cosim.design.response.estimate": "responses from logs",
     "cosim.design.response.modal_fit": "modes of a response",
     "cosim.design.shapers.figure": "drawing",
     "cosim.engine.master.compiled_loop": "the loop in C",

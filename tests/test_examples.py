@@ -113,6 +113,12 @@ EXPECTED: dict[str, Check] = {
         and all(0.09 < each < 0.11 for each in n[1][-2:])
         and min(n[2][-2:]) > 0.3
     ),
+    # two modes beside that of gravity, and margins within four standard errors of the model's
+    "frequency_response.py": lambda lines, n: (
+        "100 from 4 to 400 Hz" in lines[0]
+        and [round(value(line, "mode at")) for line in lines[2:4]] == [140, 147]
+        and all(abs(each[0] - each[2]) < 4.0 * each[1] < 0.05 * each[0] for each in n[-4:])
+    ),
     # the deeper the notch, the more delay the loop stands
     "filter_notch.py": lambda lines, n: (
         rising([1.0, *(float(row.split()[-2]) for row in lines), 3.0]) and len(lines) == 3

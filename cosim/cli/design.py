@@ -116,7 +116,7 @@ def response(
     Periodic excitation is averaged over its periods, anything else by Welch's method. Writes what `flexfmu margins --response` reads.
 
     Args:
-        logs (LOG): Files with a column `time` and the signals (.csv, .mat, .parquet), experiments of one system; or without
+        logs (FILE.csv): Files with a column `time` and the signals (.csv, .mat, .parquet), experiments of one system; or without
             --input a file of a response.
         inputs (--input SIGNAL): Input, or a sum: joint1.torque+joint1.disturbance; may be repeated. Default: none, for a response.
         outputs (--output SIGNAL): Output; may be repeated. Default: none, for a response.

@@ -519,7 +519,7 @@ def margins(
         if parts or payload_band is not None:
             raise InputError("payload_band and parts are for scenes; controllers of a model are slaves beside it")
         return model_margins(
-            [scene] if isinstance(scene, SymbolicModel) else scene, wires(connections), point or {}, response
+            [scene] if isinstance(scene, SymbolicModel) else scene, wires(connections), point or {}, measured
         )
     if connections or point:
         raise InputError("connections and point are for a loop around a model from equations")

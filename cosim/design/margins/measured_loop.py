@@ -173,7 +173,7 @@ class MeasuredLoop:
         signals, instants = len(self._paths), len(self._instants)
         whole = self._lifted.transfer(z)[:, :p]
         found, probes = np.array(whole[:, :, :p]), whole[:, :, p:].reshape(n, p, signals, instants)
-        low, high = 2.0 * pi * self.response.frequency[[0, -1]]
+        low, high = 2.0 * pi * self.response.frequency[[0, -1]] * (1.0 + np.array([-END, END]))
         step = self.response.sample_time
         lowest = inf if step is None else (1.0 - END) * pi / step
         turn, aliases = 2.0 * pi / self.period, list[Alias]()

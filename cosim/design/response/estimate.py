@@ -91,8 +91,8 @@ def estimate_response(
     response, error, coherence = _solved(x[:, inside], y[:, inside], z[:, inside], worth)
     sample_time = step if held and even else None
     # a sum is called like its first term
-    named = (tuple(each.split("+")[0].strip() for each in names) for names in (inputs, outputs))
-    return FrequencyResponse(frequency[inside], response, *named, units, error, coherence, sample_time)
+    named = [tuple(each.split("+")[0].strip() for each in names) for names in (inputs, outputs)]
+    return FrequencyResponse(frequency[inside], response, named[0], named[1], units, error, coherence, sample_time)
 
 
 def _signals(

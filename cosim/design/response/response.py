@@ -181,15 +181,15 @@ class FrequencyResponse(Rows):
         return [dict(zip(columns, row, strict=True)) for row in np.column_stack([*columns.values()]).tolist()]
 
     def at(self, frequency: RealArray, draws: ComplexArray | None = None) -> ComplexArray:
-        """The response at frequencies (M,) [Hz] within its band, (M, outputs, inputs), by cubic splines over their logarithms.
+        """The response at frequencies (M,) [Hz], (M, outputs, inputs), by cubic splines over their logarithms; beyond its band that of its end.
 
         Args:
             frequency: the frequencies.
             draws: responses of the same sizes in place of its own.
         """
-        return np.asarray(
-            CubicSpline(np.log(self.frequency), self.response if draws is None else draws)(np.log(frequency))
-        )
+        inside = np.clip(frequency, *self.frequency[[0, -1]])
+        spline = CubicSpline(np.log(self.frequency), self.response if draws is None else draws)
+        return np.asarray(spline(np.log(inside)))
 
     def drawn(self) -> list[ComplexArray]:
         """`DRAWS` responses with errors of their standard errors, always the same; none where these aren't known."""
@@ -220,16 +220,10 @@ class FrequencyResponse(Rows):
         channels = np.arange(len(self.inputs))
 
         between = np.linspace(np.log(self.frequency[:-1]), np.log(self.frequency[1:]), FINER, endpoint=False)
-        low, high = 2.0 * pi * self.frequency[[0, -1]]
-
-        def loop(omega: RealArray, draws: ComplexArray | None = None) -> ComplexArray:
-            return self.at(np.clip(omega, low, high) / (2.0 * pi), draws)
-
-        grid = np.append(2.0 * pi * np.exp(between.T.ravel()), high)
-        omega = refined(lambda each: -loop(each), channels, grid)
-        figures = [
-            loop_figures(omega, -each, channels, each) for each in (loop(omega, draw) for draw in (None, *self.drawn()))
-        ]
+        grid = np.append(2.0 * pi * np.exp(between.T.ravel()), 2.0 * pi * self.frequency[-1])
+        omega = refined(lambda each: -self.at(each / (2.0 * pi)), channels, grid)
+        loops = (self.at(omega / (2.0 * pi), draw) for draw in (None, *self.drawn()))
+        figures = [loop_figures(omega, -each, channels, each) for each in loops]
         return margins_with_errors("loop", figures[0], figures[1:])
 
     def modes(self, count: int | None = None) -> Modes:
