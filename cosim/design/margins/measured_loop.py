@@ -24,6 +24,7 @@ from flexfmu.cosim.design.margins.scene_loop import WiredSystem
 from flexfmu.cosim.design.response.response import FrequencyResponse
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.contract import LinearPlant
+from flexfmu.model.linear import signal_label
 from flexfmu.trajectories.jets import RealArray
 
 DELAY = FIGURES.index("delay_margin")
@@ -67,7 +68,7 @@ class MeasuredLoop:
         response: FrequencyResponse,
     ) -> None:
         self._loop, self._plant, self.response = loop, plant, response
-        self._paths = [(name, times) for name, times in wired.signal_paths()]
+        self._paths = wired.signal_paths()
         self._outputs = [*dict.fromkeys(name for name, _ in self._paths if name)]
         self._inputs = [*channels]
         self._late = [wired.through_lags((wired.plant, name))[1] for name in channels]
@@ -87,39 +88,26 @@ class MeasuredLoop:
 
     def _matched(self) -> list[tuple[int, int]]:
         """For each of the plant's outputs its place in the response, and how often it is differentiated there."""
-        given = [each.replace("_", ".") for each in self.response.outputs]
-        inputs = [each.replace("_", ".") for each in self.response.inputs]
+        given, inputs = (
+            [signal_label(each) for each in names] for names in (self.response.outputs, self.response.inputs)
+        )
         found = []
-        for name in self._outputs:
-            position = name.replace(".velocity", ".position")
-            if (label := name.replace("_", ".")) in given:
-                found.append((given.index(label), 0))
-            elif position.replace("_", ".") in given and self.response.sample_time is None:
-                found.append((given.index(position.replace("_", ".")), 1))
-            else:
-                more = (
-                    ": its derivative can't be told from values at samples"
-                    if position.replace("_", ".") in given
-                    else ""
-                )
-                raise InputError(
-                    f"the loop takes {name}, which the response lacks{more}; it has {', '.join(self.response.outputs)}"
-                )
-        for name in self._inputs:
-            if name.replace("_", ".") not in inputs:
-                raise InputError(
-                    f"the loop feeds {name}, of which there is no response; the response has the inputs {', '.join(self.response.inputs)}"
-                )
-        self._columns = [inputs.index(each.replace("_", ".")) for each in self._inputs]
+        for name in map(signal_label, self._outputs):
+            position = name.replace("_velocity", "_position")
+            if name not in given and (position not in given or self.response.sample_time is not None):
+                more = ": its derivative can't be told from values at samples" if position in given else ""
+                raise InputError(f"the loop takes {name}, which the response lacks{more}; it has {', '.join(given)}")
+            found.append((given.index(name), 0) if name in given else (given.index(position), 1))
+        for name in map(signal_label, self._inputs):
+            if name not in inputs:
+                raise InputError(f"the loop feeds {name}, of which there is no response; it has {', '.join(inputs)}")
+        self._columns = [inputs.index(signal_label(each)) for each in self._inputs]
         return found
 
     def _own_response(self) -> LiftedLoop:
         """The model between the same signals, continuous or held for a sample as the response is."""
         plant, step = self._plant, self.response.sample_time
-        rows, columns = (
-            [names.index(each) for each in wanted]
-            for names, wanted in ((plant.outputs, self._outputs), (plant.inputs, self._inputs))
-        )
+        rows, columns = [*map(plant.outputs.index, self._outputs)], [*map(plant.inputs.index, self._inputs)]
         n, m = len(plant.a), len(columns)
         a, b = plant.a, plant.b[:, columns]
         if step is not None:
@@ -134,11 +122,8 @@ class MeasuredLoop:
         A block beside the loop holds what they add from between two instants on, at which others sample, to the next ones.
         """
         loop, x = self._loop, self._loop.continuous
-        times = [
-            Fraction(each).limit_denominator(FINEST)
-            for block in loop.blocks
-            for each in (block.sample_time, block.offset)
-        ]
+        instants = [each for block in loop.blocks for each in (block.sample_time, block.offset)]
+        times = [Fraction(each).limit_denominator(FINEST) for each in instants]
         parts = lcm(*(each.denominator for each in times))
         step = Fraction(gcd(*(int(each * parts) for each in times)), parts)
         n, signals, outputs = len(x.a), len(x.c), x.held[0].shape[1]
@@ -258,11 +243,8 @@ class MeasuredCut:
 
     def matrices(self, omega: RealArray, draws: ComplexArray | None = None) -> ComplexArray:
         """From what is fed in to what comes back, (N, size, size), see `MeasuredLoop.matrices`: closed at all other channels."""
-        whole, cut, others = (
-            self.loop.matrices(omega, draws),
-            np.flatnonzero(self._inside),
-            np.flatnonzero(~self._inside),
-        )
+        whole = self.loop.matrices(omega, draws)
+        cut, others = np.flatnonzero(self._inside), np.flatnonzero(~self._inside)
         found = whole[:, cut[:, np.newaxis], cut]
         if others.size:
             inside = np.eye(len(others)) - whole[:, others[:, np.newaxis], others]
@@ -275,8 +257,8 @@ class MeasuredCut:
 
     def fundamental(self, omega: RealArray, matrices: ComplexArray | None = None) -> ComplexArray:
         """The part that keeps the frequency, for negative feedback, see `LiftedLoop.fundamental`."""
-        fed = [each for each, inside in zip(self.loop.fed, self._inside, strict=True) if inside]
-        of, instants = np.unique([i for i, _ in fed], return_inverse=True)[1], np.array([at for _, at in fed])
+        channels, instants = np.array(self.loop.fed).T[:, self._inside]
+        of = np.unique(channels, return_inverse=True)[1]
         turned = np.exp(1j * omega[:, np.newaxis] * instants)[:, :, np.newaxis] * np.eye(len(self.channels))[of]
         found = self.matrices(omega) if matrices is None else matrices
         return np.asarray(-(turned / np.bincount(of)).conj().swapaxes(1, 2) @ found @ turned)
@@ -288,10 +270,7 @@ class MeasuredCut:
 
         A delay turns what keeps the frequency. How the aliases move its margin is as with the model, by its margins and open loop.
         """
-        of, top = (
-            np.array([i for (i, _), inside in zip(self.loop.fed, self._inside, strict=True) if inside]),
-            pi / self.period,
-        )
+        of, top = np.array([i for i, _ in self.loop.fed])[self._inside], pi / self.period
         omega = refined(self.matrices, of, grid, top)
         found = self.matrices(omega)
 

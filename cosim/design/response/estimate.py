@@ -16,9 +16,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import median_filter
 from scipy.signal import detrend, get_window
@@ -30,9 +31,6 @@ from flexfmu.cosim.engine.measured import Log, read_log
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.trajectories.jets import RealArray
-
-if TYPE_CHECKING:
-    pass
 
 UNEVEN = 1e-3
 """Difference of steps, relative to the median step, from which a log is resampled."""
@@ -65,33 +63,29 @@ def estimate_response(
     held: bool = True,
 ) -> FrequencyResponse:
     """Estimate a response; see `flexfmu.frequency_response`."""
-    found, step, units = list[tuple[RealArray, RealArray, RealArray]](), 0.0, dict[str, str]()
-    even = True
+    found, step, even, units = list[tuple[RealArray, RealArray, RealArray]](), 0.0, True, dict[str, str]()
+    n, m = len(inputs), len(outputs)
     for log in logs:
-        signals, own, resampled, units = _signals(log, (*inputs, *outputs, *reference), between, period)
+        signals, own, resampled, units = _signals(log, (*inputs, *outputs, *(reference or inputs)), between, period)
         if step and abs(own - step) > UNEVEN * step:
             raise InputError(f"the logs have different sample times, {1e3 * step:g} and {1e3 * own:g} ms: resample one")
         step, even = own, even and not resampled
-        n, m = len(inputs), len(outputs)
         found.append((signals[:n], signals[n : n + m], signals[n + m :]))
-    x, y, z, frequency, worth = _records(found, step, period, skip, segment, reference)
-    if period is None:
-        z = x if not reference else z
+    x, y, z, frequency = _records(found, step, period, skip, segment)
     inside = np.ones(len(frequency), bool) if band is None else (frequency >= band[0]) & (frequency <= band[1])
-    if band is not None and not inside.any():
-        ends = f"{len(frequency)} from {frequency[0]:g} to {frequency[-1]:g} Hz"
-        raise InputError(f"no frequency of the estimate lies between {band[0]:g} and {band[1]:g} Hz: it has {ends}")
-    inside[inside] = _excited(x[:, inside], z[:, inside], len(inputs), period is not None)
-    still = any(not np.ptp(row) for signals in found for row in signals[0])
-    if still or np.count_nonzero(inside) < 2:
+    moving = all(np.ptp(row) for signals in found for row in signals[0])
+    inside[inside] = moving and _excited(x[:, inside], z[:, inside], n, period is not None and not reference)
+    if np.count_nonzero(inside) < 2:
         where = "" if band is None else f" between {band[0]:g} and {band[1]:g} Hz"
         raise InputError(
-            f"{', '.join(reference or inputs)} excites nothing{where}: no response can be estimated; excite it there, or give another `band`"
+            f"{', '.join(reference or inputs)} excites nothing{where}, of {len(frequency)} frequencies from {frequency[0]:g} to "
+            f"{frequency[-1]:g} Hz: no response can be estimated; excite it there, or give another `band`"
         )
+    worth = 1.0 if period is not None else INDEPENDENT
     response, error, coherence = _solved(x[:, inside], y[:, inside], z[:, inside], worth)
-    sample_time = step if held and even else None
     # a sum is called like its first term
     named = [tuple(each.split("+")[0].strip() for each in names) for names in (inputs, outputs)]
+    sample_time = step if held and even else None
     return FrequencyResponse(frequency[inside], response, named[0], named[1], units, error, coherence, sample_time)
 
 
@@ -145,72 +139,55 @@ def _records(
     period: float | None,
     skip: int,
     segment: float | None,
-    reference: Sequence[str],
-) -> tuple[ComplexArray, ComplexArray, ComplexArray, RealArray, float]:
-    """Transforms (records, frequencies, signals) of inputs, outputs and instruments, frequencies [Hz], and what a record is worth."""
-    shortest = min(each[0].shape[1] for each in found)
-    size = round((period if period is not None else segment or 2.0 * shortest * step / (SEGMENTS + 1)) / step)
-    if size < LEAST:
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, RealArray]:
+    """Transforms (records, frequencies, signals) of inputs, outputs and instruments, and frequencies [Hz]."""
+    shortest = min(each[0].shape[1] for each in found) * step
+    size = round((period or segment or 2.0 * shortest / (SEGMENTS + 1)) / step)
+    count = shortest / step / size - skip if period else 2.0 * shortest / step / size - 1.0
+    if size < LEAST or count < 2.0:
+        what = f"periods of {period:g} s, of which {skip} are left out" if period else f"segments of {size * step:g} s"
         raise InputError(
-            f"a {'period' if period is not None else 'segment'} has {size} samples: it needs at least {LEAST}"
+            f"a log of {shortest:.4g} s with {size} samples in each has too few {what}: at least 2 more are needed, with {LEAST} samples each"
         )
     records: list[list[ComplexArray]] = [[], [], []]
     for signals in found:
-        length = signals[0].shape[1]
-        if period is not None:
-            if (count := length // size - skip) < 2:
-                raise InputError(
-                    f"a log has {length * step:.4g} s, {length // size} whole periods of {period:g} s, of which {skip} are skipped for "
-                    f"the transient: at least 2 more are needed for the scatter"
-                )
-            parts = [_periods(each[:, length - count * size :], count) for each in signals]
+        if period:
+            whole = signals[0].shape[1] // size - skip
+            parts = [_periods(each[:, each.shape[1] - whole * size :], whole) for each in signals]
             # the instruments are means over the periods
-            parts[2] = np.broadcast_to(
-                (parts[2] if reference else parts[0]).mean(0), (count, *(parts[2] if reference else parts[0]).shape[1:])
-            )
+            parts[2] = np.broadcast_to(parts[2].mean(0), parts[2].shape)
         else:
-            starts = np.arange(0, length - size + 1, max(round(size * (1.0 - OVERLAP)), 1))
-            parts = [_windowed(each, starts, size) for each in signals]
-        for whole, part in zip(records, parts, strict=True):
-            whole.append(part)
-    x, y, z = (np.concatenate(each) for each in records)
-    if len(x) < 3 and period is None:
-        raise InputError(
-            f"{len(x)} segments of {size * step:.4g} s are too few for an error: take shorter ones, or a longer log"
-        )
-    frequency = np.asarray(np.fft.rfftfreq(size, step), float)
+            parts = [_windowed(each, size) for each in signals]
+        for each, part in zip(records, parts, strict=True):
+            each.append(part)
     # without the mean and, where the window widens it, its neighbour
-    first = 1 if period is not None else 2
-    return x[:, first:], y[:, first:], z[:, first:], frequency[first:], 1.0 if period is not None else INDEPENDENT
+    first = 1 if period else 2
+    x, y, z = (np.concatenate(each)[:, first:] for each in records)
+    return x, y, z, np.asarray(np.fft.rfftfreq(size, step), float)[first:]
 
 
 def _periods(signals: RealArray, count: int) -> ComplexArray:
     """Transforms (periods, frequencies, signals), without the drift from period to period."""
-    parts = signals.reshape(len(signals), count, signals.shape[1] // count)
-    slope = np.polyfit(np.arange(count), parts.mean(2).T, 1)[0] if len(signals) else np.zeros(0)
-    drift = slope[:, np.newaxis] / parts.shape[2] * np.arange(count * parts.shape[2])
+    parts = signals.reshape(len(signals), count, -1)
+    slope = np.polyfit(np.arange(count), parts.mean(2).T, 1)[0] / parts.shape[2]
+    drift = slope[:, np.newaxis] * np.arange(signals.shape[1])
     return np.asarray(np.fft.rfft(parts - drift.reshape(parts.shape), axis=2).transpose(1, 2, 0))
 
 
-def _windowed(signals: RealArray, starts: Any, size: int) -> ComplexArray:
+def _windowed(signals: RealArray, size: int) -> ComplexArray:
     """Transforms (segments, frequencies, signals) under a Hann window, each segment without its trend."""
-    parts = (
-        np.array([detrend(signals[:, at : at + size], axis=1) for at in starts])
-        if len(signals)
-        else np.zeros((len(starts), 0, size))
-    )
-    return np.asarray(np.fft.rfft(parts * get_window("hann", size), axis=2).transpose(0, 2, 1))
+    parts = sliding_window_view(signals, size, axis=1)[:, :: max(round(size * (1.0 - OVERLAP)), 1)]
+    return np.asarray(np.fft.rfft(detrend(parts, axis=2) * get_window("hann", size), axis=2).transpose(1, 2, 0))
 
 
-def _excited(x: ComplexArray, z: ComplexArray, count: int, is_periodic: bool) -> Any:
-    """Frequencies at which the instruments move the inputs: beyond the noise, and in as many directions as there are inputs."""
-    cross = np.einsum("rfi,rfj->fij", x, z.conj())
-    least = np.linalg.svd(cross, compute_uv=False)[:, count - 1] if cross.shape[2] >= count else np.zeros(len(cross))
-    found = (least > EXCITED**2 * least.max()) & (least > 0.0)
-    if is_periodic:
-        noise = np.var(z - x, axis=0).sum(1) if z.shape == x.shape else np.zeros(len(cross))
-        # of its neighbours, as few periods scatter much
-        noise = median_filter(noise, NEIGHBOURS, mode="nearest")
+def _excited(x: ComplexArray, z: ComplexArray, count: int, are_means: bool) -> Any:
+    """Frequencies at which the instruments move the inputs, in as many directions as there are inputs; means of these beyond their noise."""
+    least = np.linalg.svd(np.einsum("rfi,rfj->fij", x, z.conj()), compute_uv=False)
+    least = least[:, count - 1] if least.shape[1] >= count else np.zeros(len(least))
+    found = (least > EXCITED**2 * least.max(initial=0.0)) & (least > 0.0)
+    if are_means:
+        # of the neighbours, as few periods scatter much
+        noise = median_filter(np.var(z - x, axis=0).sum(1), NEIGHBOURS, mode="nearest")
         found &= np.mean(np.abs(z) ** 2, axis=0).sum(1) > SIGNIFICANT * noise / len(x)
     return found
 
@@ -232,6 +209,3 @@ def _solved(
     power = np.sum(np.abs(y) ** 2, axis=0)
     coherence = 1.0 - np.sum(np.abs(rest) ** 2, axis=0) / np.where(power > 0.0, power, 1.0)
     return response, error, np.clip(coherence, 0.0, 1.0)
-
-
-__all__ = ["estimate_response"]

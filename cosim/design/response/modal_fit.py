@@ -10,9 +10,8 @@ Identification: A Frequency Domain Approach*, 2nd ed., Wiley 2012, chapters 9 an
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from math import exp, inf, log, pi
+from math import log, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,65 +126,35 @@ def fitted_modes(
         square = max(float(residuals @ residuals), size * EXACT**2)
         return size * log(square / size) + data.parameters(modes) * log(size)
 
-    found = np.zeros((2, 0))
-    best = criterion(data.misfit(found), 0)
-    while found.shape[1] < most and size > data.parameters(found.shape[1] + 1):
-        starts = [np.column_stack([found, each]) for each in _starts(omega)]
-        costs = [float(np.sum(data.misfit(each) ** 2)) for each in starts]
-        more = _search(data, starts[int(np.argmin(costs))], omega)
-        residuals = data.misfit(more)
-        now = criterion(residuals, more.shape[1])
+    tried = [[each, log(ratio)] for each in np.linspace(log(omega[0]), log(omega[-1]), STARTS) for ratio in RATIOS]
+    found, jacobian, residuals = np.zeros((2, 0)), np.zeros((size, 0)), data.misfit(np.zeros((2, 0)))
+    best = criterion(residuals, 0)
+    while (n := found.shape[1] + 1) <= most and size > data.parameters(n):
+        # another mode where it explains most, then all of them together
+        starts = [np.column_stack([found, each]).ravel() for each in tried]
+        start = min(starts, key=lambda each: float(np.sum(data.misfit(each) ** 2)))
+        lower, upper = (np.repeat(np.log(each), n) for each in ([0.3 * omega[0], 1e-6], [3.0 * omega[-1], 0.99]))
+        start = np.clip(start, lower + EXACT, upper - EXACT)
+        fit = least_squares(
+            data.misfit, start, bounds=(lower, upper), x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12
+        )
+        now = criterion(fit.fun, n)
         if count is None and now >= best - log(size):
             break
-        found, best = more, now
+        found, jacobian, residuals, best = fit.x.reshape(2, -1), np.asarray(fit.jac, float), fit.fun, now
         if count is None and np.sqrt(np.mean(residuals**2)) < EXACT:
             break
-    return _modes(data, found, relative)
-
-
-def _starts(omega: RealArray) -> Iterator[RealArray]:
-    """Logarithms of frequency and damping ratio of modes that may be new."""
-    for each in np.linspace(log(omega[0]), log(omega[-1]), STARTS).tolist():
-        for ratio in RATIOS:
-            yield np.array([each, log(ratio)])
-
-
-def _search(data: _Data, start: RealArray, omega: RealArray) -> RealArray:
-    """The least weighted residuals about a start."""
-    n = start.shape[1]
-    lower = np.concatenate([np.full(n, log(0.3 * omega[0])), np.full(n, log(1e-6))])
-    upper = np.concatenate([np.full(n, log(3.0 * omega[-1])), np.full(n, log(0.99))])
-    begin = np.clip(start.ravel(), lower + 1e-9, upper - 1e-9)
-    found = least_squares(data.misfit, begin, bounds=(lower, upper), x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
-    return np.asarray(found.x.reshape(2, -1))
-
-
-def _modes(data: _Data, found: RealArray, relative: bool) -> tuple[tuple[MeasuredMode, ...], float]:
-    """The modes with errors from the residuals' sensitivities; residuals that exceed the response's errors enlarge them."""
-    residuals = data.misfit(found)
-    free = residuals.size - data.parameters(found.shape[1])
-    scatter = float(np.sqrt(residuals @ residuals / free)) if free > 0 else inf
-    if not found.size:
-        return (), scatter
-    step = 1e-5
-    jacobian = np.stack(
-        [(data.misfit(found + step * e) - data.misfit(found - step * e)) / (2.0 * step)
-         for e in np.eye(found.size).reshape(-1, *found.shape)], axis=1,
-    )  # fmt: skip
+    # residuals that exceed the response's errors enlarge those of the modes
+    scatter = float(np.sqrt(residuals @ residuals / max(size - data.parameters(found.shape[1]), 1)))
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * (scatter if relative else max(scatter, 1.0)) ** 2
     errors = np.sqrt(np.diag(covariance)).reshape(found.shape)
     modes = []
     for k in np.argsort(found[0]).tolist():
-        f, z = exp(found[0, k]) / (2.0 * pi), exp(found[1, k])
-        ends = [
-            tuple(value * float(np.exp(sign * min(NORMAL * error, UNKNOWN))) for sign in (-1.0, 1.0))
-            for value, error in ((f, errors[0, k]), (z, errors[1, k]))
+        own, names = np.exp(found[:, k]) / (2.0 * pi, 1.0), (("Hz", "Natural frequency"), ("1", "Damping ratio"))
+        ends = own[:, np.newaxis] * np.exp(np.minimum(NORMAL * errors[:, k, np.newaxis], UNKNOWN) * [-1.0, 1.0])
+        metrics = [
+            Metric(value, unit, name=label.lower().replace(" ", "_"), label=label, error=value * error)
+            for value, error, (unit, label) in zip(own.tolist(), errors[:, k].tolist(), names, strict=True)
         ]
-        modes.append(
-            MeasuredMode(
-                Metric(f, "Hz", name="natural_frequency", label="Natural frequency", error=f * errors[0, k]),
-                Metric(z, "1", name="damping_ratio", label="Damping ratio", error=z * errors[1, k]),
-                *ends,  # type: ignore[arg-type]
-            )
-        )
+        modes.append(MeasuredMode(metrics[0], metrics[1], *map(tuple, ends.tolist())))  # type: ignore[arg-type]
     return tuple(modes), scatter

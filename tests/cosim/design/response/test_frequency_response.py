@@ -141,7 +141,7 @@ def test_bad_logs_are_one_sentence() -> None:
     gap = np.where(np.arange(len(good.time)) == 77, np.nan, good["y"].values)
     for log, options, message in (
         (good, {"period": 3.0}, "at least 2 more"),
-        (good, {"band": (600.0, 700.0)}, "no frequency of the estimate"),
+        (good, {"band": (600.0, 700.0)}, "excites nothing between 600"),
         (still, {}, "excites nothing"),
         (Recording(good.time, {**good.columns, "y": Column("rad", gap)}), {}, "y has no number at 0.077 s"),
     ):
