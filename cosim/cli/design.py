@@ -139,10 +139,9 @@ def response(
     elif not inputs or not outputs:
         raise InputError("a response leads from an --input to an --output, names of signals of the log")
     else:
-        interval = None if between is None else _interval("between", between)
         found = estimate_response(
-            logs, inputs, outputs, period=period, segment=segment, reference=reference or (), between=interval,
-            band=None if band is None else _interval("band", band), held=not continuous,
+            logs, inputs, outputs, period=period, segment=segment, reference=reference or (), held=not continuous,
+            between=_interval("between", between), band=_interval("band", band),
         )  # fmt: skip
     fitted, files = found.modes(modes), list[Path]()
     if out is not None:
@@ -152,11 +151,8 @@ def response(
             fitted.plot().savefig(path, format="png", dpi=130)
     table = titled_table("Modes, ± standard errors", numbers=("frequency\nHz", "damping\n%"))
     for each in fitted.modes:
-        pairs = (
-            (each.frequency, each.frequency.error or 0.0),
-            (100.0 * each.damping_ratio, 100.0 * (each.damping_ratio.error or 0.0)),
-        )
-        table.add_row(*(f"{value:.5g} ± {error:.2g}" for value, error in pairs))
+        scaled = (1.0, each.frequency), (100.0, each.damping_ratio)
+        table.add_row(*(f"{scale * value:.5g} ± {scale * (value.error or 0.0):.2g}" for scale, value in scaled))
     data = {"response": found.rows(), "sample_time": found.sample_time, "modes": fitted.rows(), "misfit": fitted.misfit}
     where = [f"files: {', '.join(map(str, files))}"] if files else []
     misfit = f"residuals of the fit: {fitted.misfit:.3g} of the response's {'magnitude' if found.standard_error is None else 'standard errors'}"
@@ -164,8 +160,10 @@ def response(
     return 0
 
 
-def _interval(name: str, text: str) -> tuple[float, float]:
-    """The two numbers of an option."""
+def _interval(name: str, text: str | None) -> tuple[float, float] | None:
+    """The two numbers of an option, if it is given."""
+    if text is None:
+        return None
     try:
         low, high = map(float, text.split(":"))
     except ValueError:

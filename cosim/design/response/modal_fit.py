@@ -116,9 +116,9 @@ def fitted_modes(
     data = _Data(variable, values, weights, sample_time)
     size = 2 * values.size
     most = MOST if count is None else count
-    if size <= data.parameters(1 if count is None else count):
+    if count is not None and size <= data.parameters(count):
         raise InputError(
-            f"{count or 1} modes have {data.parameters(count or 1)} parameters: {len(frequency)} frequencies are too few for them"
+            f"{count} modes have {data.parameters(count)} parameters: {len(frequency)} frequencies are too few for them"
         )
 
     def criterion(residuals: RealArray, modes: int) -> float:
@@ -156,5 +156,5 @@ def fitted_modes(
             Metric(value, unit, name=label.lower().replace(" ", "_"), label=label, error=value * error)
             for value, error, (unit, label) in zip(own.tolist(), errors[:, k].tolist(), names, strict=True)
         ]
-        modes.append(MeasuredMode(metrics[0], metrics[1], *map(tuple, ends.tolist())))  # type: ignore[arg-type]
+        modes.append(MeasuredMode(metrics[0], metrics[1], *map(tuple, ends.tolist())))
     return tuple(modes), scatter

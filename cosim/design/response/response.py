@@ -203,9 +203,8 @@ class FrequencyResponse(Rows):
         import control
 
         names = {key: [each.replace(".", "_") for each in getattr(self, key)] for key in ("inputs", "outputs")}
-        return control.frd(
-            np.moveaxis(self.response, 0, 2), 2.0 * pi * self.frequency, dt=self.sample_time or 0, **names
-        )
+        values, omega = np.moveaxis(self.response, 0, 2), 2.0 * pi * self.frequency
+        return control.frd(values, omega, dt=self.sample_time or 0, **names)
 
     def margins(self) -> LoopMargins:
         """The margins of the loop that this is the open loop's response of, for negative feedback, each with its standard error.
@@ -294,9 +293,8 @@ def _drawn(response: FrequencyResponse, modes: Sequence[float]) -> Figure:
         figure = draw(8.0, 6.0)
         axes = figure.subplots(2 if response.coherence is None else 3, 1, sharex=True)
         for o, i in np.ndindex(sizes.shape[1:]):
-            (line,) = axes[0].semilogx(
-                f, 20.0 * np.log10(sizes[:, o, i]), label=f"{response.outputs[o]} / {response.inputs[i]}"
-            )
+            label = f"{response.outputs[o]} / {response.inputs[i]}"
+            (line,) = axes[0].semilogx(f, 20.0 * np.log10(sizes[:, o, i]), label=label)
             axes[0].fill_between(f, low[:, o, i], high[:, o, i], color=line.get_color(), alpha=0.3, linewidth=0.0)
             axes[1].semilogx(f, phases[:, o, i], color=line.get_color())
         if response.coherence is not None:
@@ -319,10 +317,8 @@ def _from_csv(path: Path) -> dict[str, Any]:
         output, of, text, decibel = re.fullmatch(
             r"(?:(.+)/(.+?) (?=standard|\S+$))?(.+?)([ _]+db)?", name, re.IGNORECASE
         ).groups()  # type: ignore[union-attr]
-        unit, part = (
-            table.units.get(name, ""),
-            next((each for each, names in PARTS.items() if text.lower() in names), None),
-        )
+        unit = table.units.get(name, "")
+        part = next((each for each, names in PARTS.items() if text.lower() in names), None)
         if part == "frequency":
             usual = "rad/s" if text.lower() in ("omega", "w") else "Hz"
             frequency = values * _factor(path, name, unit or usual, PER_SECOND)
@@ -354,13 +350,8 @@ def _from_csv(path: Path) -> dict[str, Any]:
     if "coherence" in stacked:
         stacked["coherence"] = stacked["coherence"][:, :: len(inputs)]
     note = re.match(r"# sample time (\S+) s", read_text(path))
-    return {
-        "frequency": frequency,
-        **stacked,
-        "inputs": inputs,
-        "outputs": outputs,
-        "sample_time": float(note[1]) if note else None,
-    }
+    step = float(note[1]) if note else None
+    return {"frequency": frequency, **stacked, "inputs": inputs, "outputs": outputs, "sample_time": step}
 
 
 def _factor(path: Path, name: str, unit: str, known: Mapping[str, float]) -> float:
@@ -391,9 +382,7 @@ def _from_mat(path: Path) -> dict[str, Any]:
             f"{path} has no arrays ResponseData and Frequency, nor fresp and omega; of an idfrd object G save G.ResponseData and G.Frequency"
         )
     f, values = np.ravel(data[name]).astype(float), np.asarray(values, complex)
-    unit = _texts(next((data[each] for each in ("frequencyunit", "frequencyunits", "units") if each in data), "rad/s"))[
-        0
-    ]
+    units = next((data[each] for each in ("frequencyunit", "frequencyunits", "units") if each in data), "rad/s")
     if values.size == f.size:
         values = values.reshape(1, 1, -1)
     if values.shape[2:] != f.shape:
@@ -408,7 +397,7 @@ def _from_mat(path: Path) -> dict[str, Any]:
     more = {key: data[key] for key in ("standard_error", "coherence") if key in data}
     if (covariance := data.get("covariancedata")) is not None and np.ndim(covariance) == 5:
         more["standard_error"] = np.moveaxis(np.sqrt(0.5 * (covariance[..., 0, 0] + covariance[..., 1, 1])), 2, 0)
-    frequency = f * _factor(path, name, unit, PER_SECOND)
+    frequency = f * _factor(path, name, _texts(units)[0], PER_SECOND)
     return {"frequency": frequency, "response": np.moveaxis(values, 2, 0), "sample_time": step or None, **names, **more}
 
 

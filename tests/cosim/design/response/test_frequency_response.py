@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,11 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 from scipy.signal import lfilter
+from typer.testing import CliRunner
 
 import flexfmu
 from flexfmu import FrequencyResponse
+from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import DataWarning, InputError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.trajectories.jets import RealArray
@@ -72,6 +75,19 @@ def test_standard_errors_hold_in_a_closed_loop(way: str) -> None:
     assert found.coherence.min() > 0.3
     assert 0.85 < float(np.std(misses)) < 1.2
     assert np.abs(np.mean(misses)) < 0.1
+
+
+def test_the_command_estimates_a_response(tmp_path: Path) -> None:
+    """Of a log in a file; with the number of modes that it has, though none is given."""
+    closed_loop(multisine(4), 2e-5, 0).write(tmp_path / "log.csv")
+    options = ["--input", "u", "--output", "y", "--period", "2", "--between", "0:9", "--band", "1:150", "--json"]
+    result = CliRunner().invoke(app, ["response", str(tmp_path / "log.csv"), *options])
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert [each["frequency"] for each in found["modes"]] == pytest.approx([20.0, 75.0], rel=2e-3)
+    assert [each["damping_ratio"] for each in found["modes"]] == pytest.approx([0.03, 0.015], rel=0.1)
+    assert found["sample_time"] == pytest.approx(H)
+    assert len(found["response"]) == 75
 
 
 def test_files_of_others_are_read(tmp_path: Path) -> None:
