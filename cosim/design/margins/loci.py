@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.design.margins.linear_loop import ComplexArray
-from flexfmu.cosim.design.margins.margins import FIGURES, LARGEST_GAIN, LoopMargins, gain_of
+from flexfmu.cosim.design.margins.margins import FIGURES, LARGEST_GAIN, LoopMargins, disk_gains, gain_of
 from flexfmu.cosim.metrics.metric_table import metric
 from flexfmu.trajectories.jets import RealArray
 
@@ -51,7 +51,7 @@ def refined(
         inside = (_turns(before.imag, after.imag) & (before.real + after.real > 2.0 / LARGEST_GAIN)).any(axis=1)
         inside |= _turns(np.abs(before) - 1.0, np.abs(after) - 1.0).any(axis=1)
         sensitivity = np.asarray(np.linalg.inv(np.eye(found.shape[-1]) - found), complex)
-        gains = gain_of(sensitivity), _disk_gains(sensitivity, of)
+        gains = gain_of(sensitivity), disk_gains(sensitivity, of)
         inside |= _turns(gains[0][:-1] - HALF_POWER, gains[0][1:] - HALF_POWER)
         for gain in gains:
             sides = np.pad(gain, 1, constant_values=-inf)
@@ -134,23 +134,12 @@ def _turns(before: RealArray, after: RealArray) -> NDArray[np.bool_]:
     return np.asarray((before < 0.0) != (after < 0.0))
 
 
-def _disk_gains(sensitivity: ComplexArray, of: NDArray[np.intp], share: float = 1.0) -> RealArray:
-    """Gains (N,) of 2 S - I, the last channel in units that balance it against the others, times a share."""
-    skewed, last = 2.0 * sensitivity - np.eye(sensitivity.shape[-1]), of == of.max()
-    if last.all():
-        return gain_of(skewed)
-    out, back = (np.linalg.norm(skewed[:, a][:, :, b], axis=(1, 2)) for a, b in ((last, ~last), (~last, last)))
-    balance = np.sqrt(np.where((out > 0.0) & (back > 0.0), back / np.where(out > 0.0, out, 1.0), 1.0))
-    scales = np.where(last, share * balance[:, np.newaxis], 1.0)
-    return gain_of(skewed * scales[:, :, np.newaxis] / scales[:, np.newaxis])
-
-
 def _disk_peak(sensitivity: ComplexArray, of: NDArray[np.intp]) -> float:
     """Largest gain with the best scaling at each frequency; for one sample of each of two channels the balanced one is that."""
-    gains = _disk_gains(sensitivity, of)
+    gains = disk_gains(sensitivity, of)
     if len(of) > 2:
         highest = np.argsort(gains)[-HIGHEST:]
-        gains[highest] = np.min([_disk_gains(sensitivity[highest], of, each) for each in SCALES], axis=0)
+        gains[highest] = np.min([disk_gains(sensitivity[highest], of, each) for each in SCALES], axis=0)
     return float(gains.max())
 
 

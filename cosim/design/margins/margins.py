@@ -330,34 +330,42 @@ class _Cut:
 
         Diagonal scalings don't change perturbations that act on each channel alone.
         """
-        last = self.opened.of == self.opened.of.max()
 
-        def skewed(z: ComplexArray) -> ComplexArray:
-            return 2.0 * self.opened.sensitivity.transfer(z) - np.eye(self.opened.size)
+        def gains(z: ComplexArray, shares: Sequence[float]) -> RealArray:
+            sensitivity = self.opened.sensitivity.transfer(z)
+            return np.asarray(np.min([disk_gains(sensitivity, self.opened.of, each) for each in shares], axis=0))
 
-        def scaled(found: ComplexArray, share: float) -> RealArray:
-            # balanced norms of the blocks beside the diagonal; for one sample of two channels in a period that is the best one
-            out, back = (np.linalg.norm(found[:, a][:, :, b], axis=(1, 2)) for a, b in ((last, ~last), (~last, last)))
-            balance = np.sqrt(
-                np.where((out > 0.0) & (back > 0.0), back, 1.0) / np.where((out > 0.0) & (back > 0.0), out, 1.0)
-            )
-            scales = np.where(last, (exp(share) * balance)[:, np.newaxis], 1.0)
-            return gain_of(found * scales[:, :, np.newaxis] / scales[:, np.newaxis])
-
-        if last.all():
-            return min(2.0, 2.0 / peak_of(lambda z: gain_of(skewed(z)), self._angles)[1])
         # the best scaling at the frequency of the peak, beside those that were the best at others, until the peak stays
-        shares, peak = [0.0], inf
+        shares, peak = [1.0], inf
         for _ in range(SCALINGS):
-            where, peak = peak_of(
-                lambda z: np.min([scaled(m := skewed(z), each) for each in shares], axis=0), self._angles
-            )
-            matrix = skewed(np.exp([1j * where]))
-            best = minimize_scalar(lambda x, m=matrix: float(scaled(m, x)[0]), bounds=(-1.0, 1.0), method="bounded")
+            where, peak = peak_of(lambda z: gains(z, shares), self._angles)
+            if (self.opened.of == self.opened.of.max()).all():
+                break
+            z = np.exp([1j * where])
+            best = minimize_scalar(lambda x, z=z: float(gains(z, [exp(x)])[0]), bounds=(-1.0, 1.0), method="bounded")
             if best.fun >= (1.0 - ENOUGH) * peak:
                 break
-            shares.append(float(best.x))
+            shares.append(exp(float(best.x)))
         return min(2.0, 2.0 / peak)
+
+
+def disk_gains(sensitivity: ComplexArray, of: NDArray[np.intp], share: float = 1.0) -> RealArray:
+    """Gains (N,) of S - T = 2 S - I with the last channel scaled against the others: as it balances them, times a share.
+
+    Args:
+        sensitivity: S (N, p, p).
+        of: the channel of each of the p elements.
+        share: of the balanced scaling, which for one sample of two channels in a period is the best one.
+    """
+    skewed, last = 2.0 * sensitivity - np.eye(sensitivity.shape[-1]), of == of.max()
+    if last.all():
+        return gain_of(skewed)
+    # norms of the blocks beside the diagonal
+    out, back = (np.linalg.norm(skewed[:, a][:, :, b], axis=(1, 2)) for a, b in ((last, ~last), (~last, last)))
+    known = (out > 0.0) & (back > 0.0)
+    balance = np.sqrt(np.where(known, back, 1.0) / np.where(known, out, 1.0))
+    scales = np.where(last, (share * balance)[:, np.newaxis], 1.0)
+    return gain_of(skewed * scales[:, :, np.newaxis] / scales[:, np.newaxis])
 
 
 SCALINGS, ENOUGH = 6, 2e-4
