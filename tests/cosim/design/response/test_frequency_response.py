@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -203,3 +204,18 @@ def test_margins_of_a_loops_response_are_those_of_python_control() -> None:
     assert found.gain_margin == pytest.approx(gain, rel=1e-5)
     assert found.phase_margin == pytest.approx(np.radians(phase), rel=1e-4)
     assert found.crossover == pytest.approx(crossover, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_standard_errors_of_margins_hold() -> None:
+    """Of 40 responses with errors of 1 %, at least 85 of 100 margins lie within 1.96 standard errors of the true ones, whose misses have their size."""
+    exact, rng = FrequencyResponse.of(SAMPLED * CONTROLLER, np.geomspace(1.0, 499.0, 150)), np.random.default_rng(3)
+    error, true = 0.01 * np.abs(exact.response), exact.margins()
+    drawn = []
+    for _ in range(40):
+        noise = error * (rng.standard_normal(error.shape) + 1j * rng.standard_normal(error.shape))
+        drawn.append(replace(exact, response=exact.response + noise, standard_error=error).margins())
+    for name in ("gain_margin", "phase_margin", "delay_margin", "disk_margin", "sensitivity_peak", "crossover"):
+        misses = np.array([(getattr(each, name) - getattr(true, name)) / getattr(each, name).error for each in drawn])
+        assert np.mean(np.abs(misses) < 1.96) >= 0.85, name
+        assert 0.6 < misses.std() < 1.35, name
