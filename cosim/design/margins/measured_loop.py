@@ -92,15 +92,18 @@ class MeasuredLoop:
             [signal_label(each) for each in names] for names in (self.response.outputs, self.response.inputs)
         )
         found = []
-        for name in map(signal_label, self._outputs):
+        for full in self._outputs:
+            name = signal_label(full)
             position = name.replace("_velocity", "_position")
             if name not in given and (position not in given or self.response.sample_time is not None):
                 more = ": its derivative can't be told from values at samples" if position in given else ""
-                raise InputError(f"the loop takes {name}, which the response lacks{more}; it has {', '.join(given)}")
+                has = ", ".join(self.response.outputs)
+                raise InputError(f"the loop takes {full}, which the response lacks{more}; it has {has}")
             found.append((given.index(name), 0) if name in given else (given.index(position), 1))
-        for name in map(signal_label, self._inputs):
-            if name not in inputs:
-                raise InputError(f"the loop feeds {name}, of which there is no response; it has {', '.join(inputs)}")
+        for full in self._inputs:
+            if signal_label(full) not in inputs:
+                has = ", ".join(self.response.inputs)
+                raise InputError(f"the loop feeds {full}, which the response lacks; it has the inputs {has}")
         self._columns = [inputs.index(signal_label(each)) for each in self._inputs]
         return found
 

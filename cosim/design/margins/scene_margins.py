@@ -250,7 +250,7 @@ def margins_table(result: MarginsResult) -> list[RenderableType]:
                 tables[-1].add_row(f"{pose.s:.2f}", row.channel.removesuffix(".torque"), *texts)
                 if row.gain_margin.error is not None or row.phase_margin.error is not None:
                     errors = [nan if (error := getattr(row, name).error) is None else error for name in FIGURES]
-                    tables[-1].add_row("", "± standard error", *_texts(LoopMargins.of("", *errors)))
+                    tables[-1].add_row("", "±", *_texts(LoopMargins.of("", *errors)))
     tables[-1].add_row("", "worst", *_texts(result.worst))
     warning = [Text(f"warning: {result.coarse_counts}", style="yellow")] if result.coarse_counts else []
     return [*tables, Text(result.verdict), *warning]
