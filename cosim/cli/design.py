@@ -15,6 +15,7 @@ from flexfmu.cosim.cli import console
 from flexfmu.cosim.cli.options import ProcessesOption
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import to_json
+from flexfmu.model.scene.keys import parse_setting
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -211,6 +212,103 @@ def effects(
     return 0
 
 
+def identify(
+    scene: str,
+    logs: list[str],
+    free: list[str] | None = None,
+    mapping: list[str] | None = None,
+    prior: list[str] | None = None,
+    sensors: str | None = None,
+    loss: Literal["linear", "robust"] = "linear",
+    starts: Annotated[int, typer.Option(min=1, max=1000)] = 1,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    segment: list[str] | None = None,
+    explain: bool | None = None,
+    step: float | None = None,
+    strict: bool = False,
+    output: Path | None = None,
+    out: Path | None = None,
+    settings: list[str] | None = None,
+    json: bool = False,
+) -> int:
+    """Estimate parameters of a scene's robot, or of anybody's FMU, from measurements.
+
+    A log is a CSV file with a header and a column `time`; columns named like signals are taken. References or angles of both
+    joints drive a motion-driven robot, torques of both motors a torque-driven one without controllers; else it makes the
+    scene's own motion. What else there is, torques, accelerations or strains, is compared. Noise may be coloured: it is
+    modelled from the residuals. The exit status is 1 if residuals show that the model lacks something.
+
+    Args:
+        scene (SCENE): A scene, or an FMU (.fmu), whose inputs and outputs a log's columns are.
+        logs (LOG.csv): A log; LOG.csv:KEY=VALUE,KEY=VALUE changes the scene for it alone, as heavy.csv:payload.mass=6.
+        free (KEY): A parameter to estimate, payload.mass, with a first value, motor_inertia=0.01, or bounds, payload.mass=3:9; may
+            be repeated, or several with commas. Default: none, at least one is needed.
+        mapping (--map COLUMN=SIGNAL): What a measured column is, with a factor or a unit and an offset if needed:
+            tau1=joint1.torque*1e-3, sg=link11.strain[0.25], t=time*ms. May be repeated. Default: by the names.
+        prior (KEY=VALUE+-DEVIATION): What is known of a free parameter: payload.mass=6+-0.5; may be repeated. Default: none.
+        sensors (NAMES): What is unknown of sensors: delay, offset and gain, with commas; none for nothing. Default:
+            delay,offset, with an FMU none.
+        loss (NAME): linear, or robust against outliers.
+        starts (N): First values from which the least squares are looked for, drawn within the bounds.
+        seed (N): Seed of these.
+        segment (FROM:TO): Times of the logs that count, in s; may be repeated. Default: all.
+        explain: Try effects that the scene lacks on the residuals; each needs an FMU. Default: where they aren't noise.
+        step (SECONDS): Communication step with an FMU. Default: its own.
+        strict: Refuse logs with values that are no finite numbers (nan, inf). Default: leave them out and tell the line.
+        output (-o, --output FILE.toml): Write the scene with the identified values here. Default: nowhere.
+        out (DIR): Write identified.html, identified.json and draws.csv, cases for `flexfmu sweep`, there. Default: nowhere.
+    """
+    from flexfmu.cosim.design.gains.goals import split
+    from flexfmu.cosim.design.identification.study import (
+        identify_fmu,
+        identify_scene,
+        parse_log,
+        parse_prior,
+        parse_segment,
+        parse_sensors,
+    )
+    from flexfmu.cosim.design.scene_files import write_changed
+    from flexfmu.cosim.engine.measured import parse_mapping
+    from flexfmu.cosim.reports.terminal import as_terminal_table
+
+    sources = [parse_log(each) for each in logs]
+    shared: dict[str, Any] = {
+        "mapping": dict(map(parse_mapping, mapping or ())),
+        "priors": dict(map(parse_prior, split(prior or ()))),
+        "loss": loss,
+        "starts": starts,
+        "seed": seed,
+        "segments": [parse_segment(each) for each in segment or ()],
+        "strict": strict,
+    }
+    console.check_scene_file(output)
+    if out is not None:
+        console.prepared_folder(out)
+    if scene.endswith(".fmu"):
+        if settings or output is not None or explain:
+            raise InputError(f"{scene} is an FMU: --set, --explain and -o are for scenes")
+        with console.progress() as show:
+            known = parse_sensors(sensors, ())
+            found = identify_fmu(Path(scene), sources, split(free or ()), sensors=known, step=step, show=show, **shared)
+    else:
+        if step is not None:
+            raise InputError("--step is for FMUs: a scene has its own, --set cosimulation.step=1e-4 for example")
+        robot = console.load_resolved(scene, settings)
+        with console.progress() as show:
+            known = parse_sensors(sensors, ("delay", "offset"))
+            found = identify_scene(
+                robot, sources, split(free or ()), sensors=known, explain=explain, show=show, **shared
+            )
+        if output is not None:
+            changes = dict(map(parse_setting, settings or ()))
+            write_changed(scene, output, {**changes, **found.changes})
+    if out is not None:
+        found.write(out)
+    where = [f"files: {each}" for each in (output, out) if each is not None]
+    console.print_result(json, found.as_data(), *map(as_terminal_table, found.tables()), *found.messages, *where)
+    return 0 if all(each.is_explained for each in found.signals) else console.FAILURE
+
+
 def tune(
     scene: str,
     over: list[str] | None = None,
@@ -258,7 +356,6 @@ def tune(
     from flexfmu.cosim.design.gains.robustness import parse_band
     from flexfmu.cosim.design.gains.tuner import summary, tune_scene, write_tuned, write_tuning
     from flexfmu.cosim.design.response.response import as_response
-    from flexfmu.model.scene.keys import parse_setting
 
     console.check_scene_file(output)
     robot = console.load_resolved(scene, settings)
@@ -399,7 +496,6 @@ def shaper(
     from flexfmu.cosim.design.shapers.examination import COARSE, FINE, examine, report, study_data, to_csv
     from flexfmu.cosim.design.shapers.figure import save_sensitivity
     from flexfmu.cosim.design.shapers.recommendation import write_shaped
-    from flexfmu.model.scene.keys import parse_setting
 
     # usage
     if not 0.0 <= payload_band < 1.0:

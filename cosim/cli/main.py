@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from flexfmu.cosim.cli import console
-from flexfmu.cosim.cli.design import effects, margins, modes, plan, response, shaper, tune
+from flexfmu.cosim.cli.design import effects, identify, margins, modes, plan, response, shaper, tune
 from flexfmu.cosim.cli.export import build, cache, export, fmus, validate, wrap
 from flexfmu.cosim.cli.options import help_and_signature
 from flexfmu.cosim.cli.run import run
@@ -102,6 +102,7 @@ for _command in (
     export,
     run,
     compare,
+    identify,
     sweep,
     tune,
     plan,

@@ -9,7 +9,8 @@ from typing import Any
 
 import tomlkit
 
-from flexfmu.model.scene.file import read_scene_text
+from flexfmu.cosim.engine.files import write_whole
+from flexfmu.model.scene.file import load_scene, read_scene_text
 from flexfmu.model.scene.keys import set_value
 
 
@@ -39,6 +40,17 @@ def changed_document(source: str | Path, target: Path, changes: Mapping[str, Any
         if place is not None and folder is not None:
             table[place] = os.path.relpath(folder / table.get(place, "."), target.resolve().parent)
     return document
+
+
+def write_changed(source: str | Path, target: Path, changes: Mapping[str, Any]) -> Path:
+    """Write a scene file with changed values, and read it again; arguments and errors as for `changed_document`.
+
+    Raises:
+        ResultsError: the file can't be written.
+    """
+    write_whole(target, tomlkit.dumps(changed_document(source, target, changes)))
+    load_scene(target)
+    return target
 
 
 def toml_item(value: Any) -> Any:

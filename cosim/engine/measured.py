@@ -437,8 +437,6 @@ def correlation(pairs: Sequence[Pair], delay: float) -> float:
 
 def _correlated(pairs: Sequence[Pair]) -> tuple[float, float]:
     """Return the lag of the largest cross-correlation and its resolution [s]."""
-    from scipy.signal import correlate, correlation_lags
-
     start, end = (min(float(pair[side].time[0]) for pair in pairs) for side in (0, 1))
     spans = [float(np.ptp(each.time)) for pair in pairs for each in pair]
     steps = [float(np.median(taken[taken > 0.0])) for measured, _ in pairs for taken in [np.diff(measured.time)]]
@@ -446,11 +444,13 @@ def _correlated(pairs: Sequence[Pair]) -> tuple[float, float]:
     series = [
         [_standardised(each, begin, step) for each, begin in zip(pair, (start, end), strict=True)] for pair in pairs
     ]
-    # all signals as long as the longest, with zeros
+    # by Fourier transforms, of all signals as long as the longest with zeros behind
     m, n = (max(pair[side].size for pair in series) for side in (0, 1))
-    padded = ((np.pad(one, (0, m - one.size)), np.pad(other, (0, n - other.size))) for one, other in series)
-    total = sum(correlate(one, other, method="fft") for one, other in padded)
-    return float(start - end + step * correlation_lags(m, n)[np.argmax(total)]), step
+    size = 1 << (m + n - 1).bit_length()
+    products = sum(np.fft.rfft(one, size) * np.fft.rfft(other, size).conj() for one, other in series)
+    total = np.fft.irfft(products, size)
+    lags = np.arange(-(n - 1), m)
+    return float(start - end + step * lags[np.argmax(total[lags])]), step
 
 
 def _standardised(signal: TimedValues, begin: float, step: float) -> RealArray:

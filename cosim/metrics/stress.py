@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.scene_run import Run
@@ -131,13 +132,41 @@ _Family = tuple[Sequence[str], RealArray]
 
 def _family(recording: Recording, scene: Scene, link: str, group: LinkGroup, direction: Direction) -> _Family | None:
     """Return the modes of a link in one direction; None if it is rigid there, or they were not recorded."""
-    shapes = scene_shapes(scene).get((group, direction), ())
-    names = [f"{link}.{direction}[{k}]" for k in range(1, len(shapes) + 1)]
+    names, strains = _strains(scene, link, group, direction, PLACES)
     if not names or any(name not in recording.columns for name in names):
         return None
-    section, young = getattr(scene.mechanism, group), scene.mechanism.material.youngs_modulus
+    return names, scene.mechanism.material.youngs_modulus * strains
+
+
+def _strains(scene: Scene, link: str, group: LinkGroup, direction: Direction, places: RealArray) -> _Family:
+    """Return the modes of a link in one direction, and their strains of the outer fibre (modes, places) [1/m]."""
+    shapes = scene_shapes(scene).get((group, direction), ())
+    names = [f"{link}.{direction}[{k}]" for k in range(1, len(shapes) + 1)]
+    section = getattr(scene.mechanism, group)
     lever = 0.5 * section.diameter / section.length if direction == "bending" else 1.0
-    return names, young * lever / section.length * np.array([shape.strain(PLACES) for shape in shapes])
+    return names, lever / section.length * np.array([shape.strain(places) for shape in shapes]).reshape(-1, places.size)
+
+
+def strain_gains(scene: Scene, link: str, place: float) -> dict[str, float]:
+    """Modal coordinates → strain of a link's outer fibre for each [1/m].
+
+    Args:
+        scene: the scene.
+        link: `link11`, `link21`, `link12` or `link22`.
+        place: distance from its base, relative to its length, 0 to 1.
+
+    Raises:
+        InputError: the place is elsewhere, or the link is rigid.
+    """
+    if not 0.0 <= place <= 1.0:
+        raise InputError(f"{link}.strain[{place:g}]: the place goes from 0, the link's base, to 1, its tip")
+    found, at = dict[str, float](), np.array([place])
+    for direction in ("bending", "axial"):
+        names, gains = _strains(scene, link, dict(LINKS)[link], direction, at)
+        found |= zip(names, gains[:, 0].tolist(), strict=True)
+    if not found:
+        raise InputError(f"{link}.strain[{place:g}]: {link} is rigid in scene {scene.name}: give it modes in [effects]")
+    return found
 
 
 def _peak(recording: Recording, families: Sequence[_Family], length: float) -> StressPeak:

@@ -7,6 +7,7 @@ from flexfmu import shapers as shapers
 from flexfmu.api import build as build
 from flexfmu.api import compare as compare
 from flexfmu.api import frequency_response as frequency_response
+from flexfmu.api import identify as identify
 from flexfmu.api import linearize as linearize
 from flexfmu.api import margins as margins
 from flexfmu.api import modes as modes
@@ -60,6 +61,6 @@ from flexfmu.systems import simulate as simulate
 from flexfmu.systems import slave as slave
 from flexfmu.trajectories.errors import TrajectoryError as TrajectoryError
 
-__all__ = ['AlgebraicLoopError', 'BuildError', 'EquilibriumError', 'Error', 'FmuFileError', 'FrequencyResponse', 'InputError', 'LoopWarning', 'Metric', 'MissingCompilerError', 'Motor', 'ResultsError', 'Run', 'RunMetrics', 'RunWarning', 'Scene', 'SceneError', 'SceneWarning', 'Selection', 'SlaveError', 'SlaveVariable', 'TrajectoryError', 'WiringError', '__version__', 'build', 'compare', 'control', 'controller', 'dae', 'display', 'disturbances', 'event', 'export_slaves', 'export_ssp', 'filters', 'frequency_response', 'imperfections', 'lagrangian', 'linearize', 'link_stresses', 'load_scene', 'load_ssp', 'margins', 'measure_run', 'modes', 'motions', 'motor_loads', 'ode', 'part', 'plan_motion', 'reference_motion', 'run', 'run_variants', 'second_order', 'shapers', 'simulate', 'slave', 'start_gains', 'study_effects', 'sweep', 'tune', 'variable']
+__all__ = ['AlgebraicLoopError', 'BuildError', 'EquilibriumError', 'Error', 'FmuFileError', 'FrequencyResponse', 'InputError', 'LoopWarning', 'Metric', 'MissingCompilerError', 'Motor', 'ResultsError', 'Run', 'RunMetrics', 'RunWarning', 'Scene', 'SceneError', 'SceneWarning', 'Selection', 'SlaveError', 'SlaveVariable', 'TrajectoryError', 'WiringError', '__version__', 'build', 'compare', 'control', 'controller', 'dae', 'display', 'disturbances', 'event', 'export_slaves', 'export_ssp', 'filters', 'frequency_response', 'identify', 'imperfections', 'lagrangian', 'linearize', 'link_stresses', 'load_scene', 'load_ssp', 'margins', 'measure_run', 'modes', 'motions', 'motor_loads', 'ode', 'part', 'plan_motion', 'reference_motion', 'run', 'run_variants', 'second_order', 'shapers', 'simulate', 'slave', 'start_gains', 'study_effects', 'sweep', 'tune', 'variable']
 
 __version__: str

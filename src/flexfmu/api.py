@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     import control
 
     from flexfmu.cosim.design.gains.tuner import TuneResult
+    from flexfmu.cosim.design.identification.result import Identification
     from flexfmu.cosim.design.margins.scene_margins import MarginsResult
     from flexfmu.cosim.design.plans.planner import PlanResult
     from flexfmu.cosim.design.response.response import FrequencyResponse
@@ -228,6 +229,114 @@ def compare(
     meaning = {column: as_mapped(text) for column, text in (mapping or {}).items()}
     compared = compared_runs(runs, payload_band=payload_band, strict=strict)
     return compare_runs(compared, measured, meaning, delay, strict=strict)
+
+
+def identify(
+    model: SceneSource,
+    logs: Log | Sequence[Log | tuple[Log, Mapping[str, Any]]],
+    free: Iterable[str] | Mapping[str, float | tuple[float, float]],
+    *,
+    mapping: Mapping[str, str] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    sensors: Collection[str] | None = None,
+    loss: Literal["linear", "robust"] = "linear",
+    starts: int = 1,
+    seed: int = 0,
+    segments: Sequence[tuple[float, float]] = (),
+    explain: bool | None = None,
+    step: float | None = None,
+    tolerance: float | None = None,
+    strict: bool = False,
+    out: str | Path | None = None,
+    progress: Callable[[str, float | None], None] | None = None,
+) -> Identification:
+    """Estimate parameters of a scene's robot, or of anybody's FMU, from measurements.
+
+        found = flexfmu.identify("robot.toml", "log.csv", ["payload.mass", "damping.ratio"], mapping={"M1": "joint1.torque*1e-3"})
+        found.values["payload.mass"], found.estimates[0].interval, found.scene
+        flexfmu.identify("VanDerPol.fmu", "log.csv", {"mu": (0.1, 10.0)})
+
+    Calls `flexfmu.cosim.design.identification.study.identify_scene` or `identify_fmu`.
+
+    Args:
+        model: a scene, the path of a scene file, or the name of a shipped scene; or the path of an FMU (``.fmu``).
+        logs: CSV files with a header, data frames or `Recording`; one, several, or pairs of a log and keys of the scene for it alone:
+            ``("heavy.csv", {"payload.mass": 6.0})``. Columns of both joints' references or angles drive a motion-driven robot, torques
+            of both motors a torque-driven one without controllers; otherwise it makes the scene's own motion. Columns that are named
+            like an FMU's inputs drive it.
+        free: keys of the scene, or names of an FMU's parameters and start values: ``["payload.mass", "motor_inertia=0.01"]``, or a
+            dict of first values or of bounds.
+        mapping: column → ``signal*factor+offset``, as for `compare`; also ``link11.strain[0.25]``, the strain of an outer fibre, and
+            ``joint1.current`` with the scene's ``motor.torque_constant``.
+        priors: key → mean and standard deviation of what is known beforehand.
+        sensors: what is unknown of them: a ``"delay"`` of each kind of signal, an ``"offset"`` of each signal, a ``"gain"``. None for
+            delay and offset with a scene, nothing with an FMU.
+        loss: ``"robust"`` against outliers.
+        starts: number of first values from which the least squares are looked for.
+        seed: of these.
+        segments: intervals of the logs' times whose samples count [s].
+        explain: whether effects that the scene lacks are tried; None for where the residuals depend on the motion.
+        step, tolerance: communication step [s] and relative tolerance of an FMU; None for its own.
+        strict: whether a value in a log that is no finite number is an error; otherwise it is left out, with a warning.
+        out: folder for ``identified.html``, ``identified.json``, and ``draws.csv``, cases for `sweep`; None for memory alone.
+        progress: function that is called with what is being done, and the finished fraction.
+
+    Returns:
+        Values with standard errors, intervals of 95 % confidence and correlations, tests of the residuals, and the scene with the values.
+
+    Raises:
+        InputError: a key or a log can't be used, or the log isn't one of this robot.
+        SceneError: the scene doesn't exist, or a value is out of range.
+        BuildError: the FMU can't be built.
+        ResultsError: a simulation failed, or a file can't be written.
+    """
+    from flexfmu.cosim.design.identification.study import LogSource, identify_fmu, identify_scene
+    from flexfmu.cosim.engine.measured import as_mapped
+
+    several = logs if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
+    sources = [LogSource(*each) if isinstance(each, tuple) else LogSource(each, {}) for each in several]
+    meaning = {column: as_mapped(text) for column, text in (mapping or {}).items()}
+    show = progress or (lambda text, fraction: None)
+    if isinstance(model, str | Path) and Path(model).suffix == ".fmu":
+        found = identify_fmu(
+            Path(model),
+            sources,
+            free,
+            mapping=meaning,
+            priors=priors,
+            sensors=sensors or (),
+            loss=loss,
+            starts=starts,
+            seed=seed,
+            segments=segments,
+            step=step,
+            tolerance=tolerance,
+            strict=strict,
+            show=show,
+        )
+    else:
+        if step is not None or tolerance is not None:
+            raise InputError(
+                "step and tolerance are those of an FMU: a scene has its own, cosimulation.step and cosimulation.tolerance"
+            )
+        found = identify_scene(
+            resolved(as_scene(model)),
+            sources,
+            free,
+            mapping=meaning,
+            priors=priors,
+            sensors=("delay", "offset") if sensors is None else sensors,
+            loss=loss,
+            starts=starts,
+            seed=seed,
+            segments=segments,
+            explain=explain,
+            strict=strict,
+            show=show,
+        )
+    if out is not None:
+        found.write(out)
+    return found
 
 
 def build(

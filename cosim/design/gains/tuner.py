@@ -22,7 +22,7 @@ from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses
 from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by_gradients
 from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, check_keys, trial_journal
 from flexfmu.cosim.design.response.response import FrequencyResponse
-from flexfmu.cosim.design.scene_files import changed_document, toml_item
+from flexfmu.cosim.design.scene_files import toml_item, write_changed
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import OutputFolder, to_json, write_whole
 from flexfmu.cosim.engine.showing import Rows, ShowProgress, few_lines, quiet, shown_unit
@@ -369,16 +369,15 @@ def write_tuned(
         document = tomlkit.document()
         for key, value in result.scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True).items():
             document.add(key, toml_item(value))
-    else:
-        # tuned keys with their whole values: one number for both joints, or both
-        data, tuned = result.scene.model_dump(mode="json", exclude_none=True), dict[str, Any]()
-        for key in result.values:
-            whole = full_key(data, key)
-            whole = whole.rpartition("[")[0] if whole.endswith("]") else whole
-            value = value_at(data, whole)
-            same = isinstance(value, list) and len(value) == 2 and value[0] == value[1]
-            tuned[whole] = value[0] if same else value
-        document = changed_document(source, target, {**(changes or {}), **tuned})
-    write_whole(target, tomlkit.dumps(document))
-    load_scene(target)
-    return target
+        write_whole(target, tomlkit.dumps(document))
+        load_scene(target)
+        return target
+    # tuned keys with their whole values: one number for both joints, or both
+    data, tuned = result.scene.model_dump(mode="json", exclude_none=True), dict[str, Any]()
+    for key in result.values:
+        whole = full_key(data, key)
+        whole = whole.rpartition("[")[0] if whole.endswith("]") else whole
+        value = value_at(data, whole)
+        same = isinstance(value, list) and len(value) == 2 and value[0] == value[1]
+        tuned[whole] = value[0] if same else value
+    return write_changed(source, target, {**(changes or {}), **tuned})

@@ -1,0 +1,160 @@
+"""How often intervals of identified parameters contain the truth, where the data come from another model: finite elements.
+
+python benchmarks/identification.py [--cases 100] [--first 0] [--kind angles|torques|mode|all] [--json FILE]
+
+Each case draws a robot, moves its motors by the scene's motion in finite elements, and makes a log at 1 kHz of that: encoders of 17 bits,
+noise that is coloured (autoregressive, poles drawn), sensors that are 2 ms late, without that being known. Five parameters are
+estimated, from first values that are up to 20 % off:
+
+- ``angles``: measured angles drive the model, torques are compared;
+- ``torques``: torques drive the model, with friction and motor inertia; angles and the end effector's acceleration are compared;
+- ``mode``: as ``angles`` with a light payload, and a model that lacks a mode: the bending of the distal links.
+
+Motor inertia and viscous friction add to the motors' torques what the closed form says, since motors move as prescribed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+import warnings
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+import flexfmu
+from flexfmu.cosim.experiment.parameters import scene_values
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.model.finite_elements.motion import simulate
+from flexfmu.model.finite_elements.robot import finite_element_robot
+
+STEP, DELAY, COUNTS, ELEMENTS = 1e-3, 2e-3, 2**17, 3
+NOISE = {"torque": 0.01, "acceleration": 0.01}
+"""Standard deviation of the noise, relative to the largest value."""
+
+KEYS = {
+    "payload.mass": "payload.mass",
+    "damping.time": "effects.damping.time",
+    "material.youngs_modulus": "mechanism.material.youngs_modulus",
+    "motor_inertia": "effects.motor_inertia",
+    "joint_friction.viscous": "effects.joint_friction.viscous",
+}
+
+
+def robot(kind: str) -> flexfmu.Scene:
+    """The scene whose parameters are estimated."""
+    effects: dict[str, Any] = {
+        "gravity": [0.0, -9.81],
+        "basis": "craig-bampton",
+        "proximal_bending": 2,
+        "distal_axial": 1,
+        "distal_bending": 0 if kind == "mode" else 1,
+        "damping": {"kind": "stiffness", "time": 1e-4},
+        "motor_inertia": 0.05,
+        "joint_friction": {"viscous": 2.0},
+    }
+    scene = flexfmu.load_scene("barnard2012-0.1kg" if kind == "mode" else "barnard2012-6kg")
+    drive = "torque" if kind == "torques" else "motion"
+    return scene.replace({"effects": effects, "cosimulation.drive": drive})
+
+
+def coloured(count: int, deviation: float, rng: np.random.Generator) -> np.ndarray[Any, Any]:
+    """Autoregressive noise of second order with drawn poles."""
+    first, second = rng.uniform(0.5, 0.95), rng.uniform(-0.3, 0.5)
+    values, white = np.zeros(count + 200), rng.normal(size=count + 200)
+    for n in range(2, values.size):
+        values[n] = (first + second) * values[n - 1] - first * second * values[n - 2] + white[n]
+    return deviation * values[200:] / values[200:].std()
+
+
+def case(number: int, kind: str) -> dict[str, Any]:
+    """Draw, measure and identify one robot."""
+    rng, scene = np.random.default_rng([20261128, number]), robot(kind)
+    own = {name: float(each.value) for name, each in scene_values(scene).items()}
+    true = {name: own[name] * rng.uniform(0.8, 1.25) for name in KEYS}
+    built = scene.replace({KEYS[name]: value for name, value in true.items()})
+    motion = plan(scene)
+    bare = built.replace({"effects.motor_inertia": 0.0, "effects.joint_friction": {}})
+    elements = finite_element_robot(bare, ELEMENTS)
+    instants = STEP * np.arange(1, round(motion.stop_time / STEP))
+    found = simulate(elements, motion.joints, instants, STEP)
+    _, rate, acceleration = motion.joints.evaluate(instants, 2)
+    torque = found.torque + true["motor_inertia"] * acceleration + true["joint_friction.viscous"] * rate
+    bit = 2.0 * np.pi / COUNTS
+    columns = {"time": instants}
+    late = 0.0 if kind != "torques" else DELAY
+
+    with TemporaryDirectory() as folder:
+        for j in range(2):
+            exact = motion.joints.evaluate(np.maximum(instants - late, 0.0), 0)[0][:, j]
+            columns[f"joint{j + 1}.position"] = bit * np.round(exact / bit)
+            values = torque[:, j] if kind == "torques" else delayed(instants, torque[:, j], DELAY)
+            noise = coloured(instants.size, NOISE["torque"] * abs(torque).max(), rng)
+            columns[f"joint{j + 1}.torque"] = values + noise
+            if kind == "torques":
+                values = delayed(instants, found.acceleration[:, j], DELAY)
+                size = NOISE["acceleration"] * abs(found.acceleration).max()
+                columns[f"end_effector.acceleration.{'xy'[j]}"] = values + coloured(instants.size, size, rng)
+        log = Path(folder) / "log.csv"
+        np.savetxt(log, np.column_stack([*columns.values()]), delimiter=",", header=",".join(columns), comments="")
+        begin = time.process_time()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            result = flexfmu.identify(scene, log, list(KEYS))
+    return {
+        "case": number,
+        "kind": kind,
+        "seconds": time.process_time() - begin,
+        "true": true,
+        "data": result.as_data(),
+        "inside": {each.name: each.interval[0] <= true[each.name] <= each.interval[1] for each in result.estimates},
+        "error": {each.name: each.value / true[each.name] - 1.0 for each in result.estimates},
+        "width": {each.name: each.standard_error / true[each.name] for each in result.estimates},
+        "explained": all(each.is_explained for each in result.signals),
+    }
+
+
+def delayed(time: np.ndarray[Any, Any], values: np.ndarray[Any, Any], delay: float) -> np.ndarray[Any, Any]:
+    """Values of some time ago, by whole samples."""
+    shift = round(delay / STEP)
+    return np.concatenate([np.full(shift, values[0]), values[: values.size - shift]])
+
+
+def main() -> None:
+    """Print coverage, errors and cost."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--kind", choices=["angles", "torques", "mode", "all"], default="all")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("-j", "--processes", type=int, default=2)
+    chosen = parser.parse_args()
+    kinds = ["angles", "torques", "mode"] if chosen.kind == "all" else [chosen.kind]
+    rows = []
+    for kind in kinds:
+        flexfmu.build(robot(kind))
+        with ProcessPoolExecutor(chosen.processes) as pool:
+            numbers = range(chosen.first, chosen.first + chosen.cases)
+            found = [*pool.map(partial(case, kind=kind), numbers)]
+        rows += found
+        print(f"{kind}: {len(found)} cases, {np.mean([each['seconds'] for each in found]):.2g} s of CPU each")
+        for name in KEYS:
+            inside = sum(each["inside"][name] for each in found)
+            errors = np.array([each["error"][name] for each in found])
+            width = np.median([each["width"][name] for each in found])
+            print(
+                f"  {name:26} interval contains the truth in {inside} of {len(found)}, error {100 * np.sqrt(np.mean(errors**2)):.2g} % RMS, "
+                f"standard error {100 * width:.2g} %"
+            )
+        print(f"  residuals said to depend on the motion in {sum(not each['explained'] for each in found)}", flush=True)
+    if chosen.json:
+        chosen.json.write_text(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,472 @@
+"""Least squares with coloured noise: values, standard errors, intervals, and what can't be told apart.
+
+The unknowns are parameters of the model and of the sensors: a delay for each kind of signal in a log, an offset for each signal in a log, and a
+gain for each signal. Residuals are whitened by autoregressive models that are fitted to them in turn (feasible generalised least squares,
+W. Greene, *Econometric Analysis*, 2012, section 20.9), so that maximum likelihood is a plain least-squares problem for SciPy. Derivatives
+with respect to the model's parameters are central differences of runs that are simulated side by side; those with respect to delays,
+offsets and gains are exact.
+
+Standard errors are the larger of those that follow from the model of the noise and those that hold whatever the correlation of the
+remaining residuals, also between signals (W. Newey, K. West, Econometrica 55, 1987). Where the sum of squares isn't quadratic, the interval is
+that of the profile likelihood (D. Bates, D. Watts, *Nonlinear Regression Analysis*, 1988, chapter 6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import inf, sqrt
+from typing import Literal
+
+import numpy as np
+
+from flexfmu.cosim.design.identification.measurements import Channel, Experiment
+from flexfmu.cosim.design.identification.noise import ColouredNoise, fitted_noise
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.slave import RealArray
+
+STEP = 3e-3
+"""Step of the differences, relative to a parameter's size."""
+
+ROUNDS, SETTLED = 8, 0.05
+"""Most fits with renewed models of the noise, and change of a parameter in terms of its standard error that ends them."""
+
+EXACT = 1e-9
+"""Noise of a signal, relative to its range, that counts as none."""
+
+CURVED = 0.1
+"""Deviation of the sum of squares from a parabola at the ends of an interval, from which on the interval is profiled."""
+
+PROFILE_STEPS = 5
+"""Most steps of a profile to one side."""
+
+UNKNOWN = 1.0
+"""Standard error relative to a parameter's size from which on the data don't determine it."""
+
+SHARED = 0.3
+"""Part of a direction that counts among what can't be told apart."""
+
+NUISANCES = ("delay", "offset", "gain")
+"""What may be unknown of sensors."""
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """A parameter to be estimated.
+
+    Attributes:
+        name: of the FMU's parameter.
+        unit: in SI.
+        start: first value.
+        low, high: bounds.
+        prior: mean and standard deviation of what is known beforehand; None for nothing.
+    """
+
+    name: str
+    unit: str
+    start: float
+    low: float = -inf
+    high: float = inf
+    prior: tuple[float, float] | None = None
+
+    @property
+    def size(self) -> float:
+        """What counts as a large change."""
+        if self.start:
+            return abs(self.start)
+        return self.high - self.low if self.high - self.low < inf else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualRow:
+    """A signal of an experiment in the vector of residuals: samples that the simulation covers, and places of its nuisances among the
+    unknowns, None for none."""
+
+    experiment: int
+    channel: Channel
+    delay: int | None
+    offset: int | None
+    gain: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A fit.
+
+    Attributes:
+        unknowns: values of all unknowns (n,).
+        residuals: measured minus simulated values of each signal.
+        simulated: simulated values of each signal, as the sensor shows them.
+        noises: models of the noise.
+        white: whitened residuals of all signals, then of priors (N,).
+        jacobian: derivatives of the negative whitened residuals (N, n).
+        covariance: of the unknowns (n, n).
+        freedom: degrees of freedom.
+    """
+
+    unknowns: RealArray
+    residuals: tuple[RealArray, ...] = field(repr=False)
+    simulated: tuple[RealArray, ...] = field(repr=False)
+    noises: tuple[ColouredNoise, ...] = field(repr=False)
+    white: RealArray = field(repr=False)
+    jacobian: RealArray = field(repr=False)
+    covariance: RealArray = field(repr=False)
+    freedom: int
+
+    @property
+    def cost(self) -> float:
+        """Sum of the squared whitened residuals."""
+        return float(self.white @ self.white)
+
+
+class Problem:
+    """Unknowns, measurements and simulations of an identification.
+
+    Args:
+        experiments: at least one.
+        free: the model's parameters.
+        nuisances: what is unknown of sensors, of `NUISANCES`.
+        delays: first delay of each experiment's signals [s].
+        loss: ``linear``, or one of SciPy's robust losses.
+        show: called with the number of runs so far.
+    """
+
+    def __init__(
+        self,
+        experiments: Sequence[Experiment],
+        free: Sequence[FreeParameter],
+        nuisances: Collection[str],
+        delays: Sequence[float],
+        loss: Literal["linear", "soft_l1"] = "linear",
+        show: Callable[[int], None] = lambda runs: None,
+    ) -> None:
+        self.experiments, self.free, self._loss, self._show = tuple(experiments), tuple(free), loss, show
+        self.runs = 0
+        starts, names, sizes, places = list[float](), list[str](), list[float](), dict[str, int]()
+
+        def place(what: str, name: str, start: float, size: float) -> int | None:
+            if what not in nuisances:
+                return None
+            if name not in places:
+                places[name] = len(self.free) + len(starts)
+                starts.append(start)
+                names.append(name)
+                sizes.append(size)
+            return places[name]
+
+        rows = list[ResidualRow]()
+        for number, each in enumerate(self.experiments):
+            for channel in each.channels:
+                covered = _covered(channel, delays[number], each.stop_time)
+                of = f"{channel.name} of {each.name}"
+                rows.append(
+                    ResidualRow(
+                        number,
+                        covered,
+                        place("delay", f"delay of {channel.kind}s of {each.name}", delays[number], channel.step),
+                        place("offset", f"offset of {of}", 0.0, float(np.std(channel.values)) or 1.0),
+                        place("gain", f"gain of {channel.name}", 1.0, 1.0),
+                    )
+                )
+        self.rows, self._delays = tuple(rows), tuple(delays)
+        self.nuisances = tuple(names)
+        self.start = np.array([*(each.start for each in self.free), *starts])
+        self.sizes = np.array([*(each.size for each in self.free), *sizes])
+        self._low = np.array(
+            [*(each.low for each in self.free), *(0.0 if n.startswith("gain") else -inf for n in names)]
+        )
+        self._high = np.array([*(each.high for each in self.free), *(inf for _ in names)])
+        self._known: tuple[RealArray, list[Recording]] | None = None
+        self._varied: tuple[RealArray, list[list[Recording]], list[float]] | None = None
+
+    @property
+    def samples(self) -> int:
+        """Number of compared values."""
+        return sum(row.channel.time.size for row in self.rows)
+
+    def recordings(self, points: Sequence[RealArray]) -> list[list[Recording]]:
+        """Recordings of all experiments at values of the model's parameters, one list for each of the points."""
+        names = [each.name for each in self.free]
+        variants = [dict(zip(names, point.tolist(), strict=False)) for point in points]
+        self.runs += len(points) * len(self.experiments)
+        self._show(self.runs)
+        columns = [each.simulate(variants) for each in self.experiments]
+        return [list(each) for each in zip(*columns, strict=True)]
+
+    def at(self, unknowns: RealArray) -> list[Recording]:
+        """Recordings of all experiments; those of the last values are kept."""
+        own = unknowns[: len(self.free)]
+        if self._known is None or not np.array_equal(self._known[0], own):
+            self._known = own.copy(), self.recordings([own])[0]
+        return self._known[1]
+
+    def simulated(
+        self, row: ResidualRow, recording: Recording, unknowns: RealArray
+    ) -> tuple[RealArray, RealArray, RealArray]:
+        """What the sensor of a row shows, the signal without offset and gain, and its time derivative, (M,) each."""
+        delay = self._delays[row.experiment] if row.delay is None else float(unknowns[row.delay])
+        signal, slope = row.channel.simulated(recording, row.channel.time - delay)
+        gain = 1.0 if row.gain is None else unknowns[row.gain]
+        offset = 0.0 if row.offset is None else unknowns[row.offset]
+        return gain * signal + offset, signal, gain * slope
+
+    def residuals(self, unknowns: RealArray, recordings: Sequence[Recording]) -> list[RealArray]:
+        """Measured minus simulated values of each row."""
+        return [row.channel.values - self.simulated(row, recordings[row.experiment], unknowns)[0] for row in self.rows]
+
+    def whitened(self, parts: Sequence[RealArray], noises: Sequence[ColouredNoise]) -> RealArray:
+        """Whiten and join values of all rows."""
+        pairs = zip(parts, self.rows, noises, strict=True)
+        return np.concatenate([noise.whitened(part, row.channel.pieces) for part, row, noise in pairs])
+
+    def derivatives(self, unknowns: RealArray) -> list[RealArray]:
+        """Derivatives of what each row's sensor shows by all unknowns (M, n)."""
+        base, (varied, widths), found = (
+            self.at(unknowns),
+            self._variations(unknowns[: len(self.free)]),
+            list[RealArray](),
+        )
+        for row in self.rows:
+            _, signal, slope = self.simulated(row, base[row.experiment], unknowns)
+            columns = np.zeros((signal.size, unknowns.size))
+            for j, width in enumerate(widths):
+                up, down = (
+                    self.simulated(row, each[row.experiment], unknowns)[0] for each in varied[2 * j : 2 * j + 2]
+                )
+                columns[:, j] = (up - down) / width
+            for place, values in ((row.delay, -slope), (row.offset, 1.0), (row.gain, signal)):
+                if place is not None:
+                    columns[:, place] = values
+            found.append(columns)
+        return found
+
+    def _variations(self, own: RealArray) -> tuple[list[list[Recording]], list[float]]:
+        """Recordings with each of the model's parameters a little larger, then smaller, and the distances of both; the last ones are kept."""
+        if self._varied is None or not np.array_equal(self._varied[0], own):
+            points, widths = list[RealArray](), list[float]()
+            for j, value in enumerate(own.tolist()):
+                step = STEP * max(float(self.sizes[j]), abs(value))
+                pair = [own.copy(), own.copy()]
+                pair[0][j], pair[1][j] = min(value + step, self._high[j]), max(value - step, self._low[j])
+                widths.append(float(pair[0][j] - pair[1][j]))
+                points += pair
+            self._varied = own.copy(), self.recordings(points), widths
+        return self._varied[1:]
+
+    def priors(self, unknowns: RealArray) -> tuple[RealArray, RealArray]:
+        """Residuals of what is known beforehand (k,), and their derivatives by the unknowns (k, n), negative as all others."""
+        given = [(j, *each.prior) for j, each in enumerate(self.free) if each.prior is not None]
+        rows = np.zeros((len(given), unknowns.size))
+        for i, (j, _, deviation) in enumerate(given):
+            rows[i, j] = 1.0 / deviation
+        return np.array([(mean - unknowns[j]) / deviation for j, mean, deviation in given]), rows
+
+    def fit(self, start: RealArray, noises: Sequence[ColouredNoise]) -> Solution:
+        """Minimise the whitened residuals for given models of the noise."""
+        from scipy.optimize import least_squares
+
+        last: list[tuple[RealArray, RealArray]] = []
+
+        def function(unknowns: RealArray) -> RealArray:
+            white = self.whitened(self.residuals(unknowns, self.at(unknowns)), noises)
+            return np.concatenate([white, self.priors(unknowns)[0]])
+
+        def jacobian(unknowns: RealArray) -> RealArray:
+            found = np.concatenate([self.whitened(self.derivatives(unknowns), noises), self.priors(unknowns)[1]])
+            last[:] = [(unknowns.copy(), found)]
+            return -found
+
+        found = least_squares(
+            function,
+            np.clip(start, self._low, self._high),
+            jacobian,
+            bounds=(self._low, self._high),
+            x_scale=self.sizes,
+            loss=self._loss,
+            ftol=1e-7,
+            xtol=1e-7,
+            gtol=1e-9,
+            max_nfev=40,
+        )
+        matrix = last[0][1] if last and np.array_equal(last[0][0], found.x) else -jacobian(found.x)
+        return self._solution(found.x, matrix, noises)
+
+    def _solution(self, unknowns: RealArray, jacobian: RealArray, noises: Sequence[ColouredNoise]) -> Solution:
+        recordings = self.at(unknowns)
+        shown = tuple(self.simulated(row, recordings[row.experiment], unknowns)[0] for row in self.rows)
+        residuals = tuple(row.channel.values - each for row, each in zip(self.rows, shown, strict=True))
+        white = np.concatenate([self.whitened(residuals, noises), self.priors(unknowns)[0]])
+        freedom = max(self.samples - unknowns.size - sum(each.order for each in noises), 1)
+        covariance = self._covariance(white, jacobian, freedom)
+        return Solution(unknowns, residuals, shown, tuple(noises), white, jacobian, covariance, freedom)
+
+    def _covariance(self, white: RealArray, jacobian: RealArray, freedom: int) -> RealArray:
+        """Covariance of the unknowns: correlations of the noise's model, standard errors the larger of two."""
+        scaled = jacobian * self.sizes
+        inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+        own = max(float(white @ white) / freedom, 1e-300) * inverse
+        # whatever the residuals are correlated with: sums over all signals of an experiment at one instant
+        total, begin = np.zeros_like(inverse), 0
+        scores = dict[tuple[int, int], RealArray]()
+        for row in self.rows:
+            end = begin + row.channel.time.size
+            key = row.experiment, row.channel.time.size
+            part = scaled[begin:end] * white[begin:end, None]
+            scores[key] = scores[key] + part if key in scores else part
+            begin = end
+        for part in scores.values():
+            lags = round(part.shape[0] ** (1.0 / 3.0))
+            total += part.T @ part
+            for lag in range(1, lags + 1):
+                product = (1.0 - lag / (lags + 1.0)) * (part[lag:].T @ part[:-lag])
+                total += product + product.T
+        # what is known beforehand doesn't scatter
+        total += scaled[begin:].T @ scaled[begin:]
+        robust = inverse @ total @ inverse * (self.samples / freedom)
+        variances = np.maximum(np.diag(own), 1e-300)
+        factors = np.sqrt(np.maximum(np.diag(robust) / variances, 1.0)) * self.sizes
+        return own * np.outer(factors, factors)
+
+    def first_noises(self, unknowns: RealArray) -> list[ColouredNoise]:
+        """White noise of a tenth of each signal's own deviation, in place of what isn't known yet."""
+        none = (np.zeros(0),)
+        return [
+            ColouredNoise(none, np.array([0.1 * float(np.std(row.channel.values)) or 1.0]), row.channel.step)
+            for row in self.rows
+        ]
+
+    def noises(self, solution: Solution) -> list[ColouredNoise]:
+        """Models of the noise from the residuals of a fit."""
+        pairs = zip(self.rows, solution.residuals, strict=True)
+        return [
+            fitted_noise(each, row.channel.pieces, row.channel.step, EXACT * (float(np.ptp(row.channel.values)) or 1.0))
+            for row, each in pairs
+        ]
+
+    def solve(self, start: RealArray | None = None) -> Solution:
+        """Fit, model the noise, and fit again until both agree."""
+        first = self.start if start is None else start
+        found = self.fit(first, self.first_noises(first))
+        for _ in range(ROUNDS):
+            before = found.unknowns
+            found = self.fit(before, self.noises(found))
+            errors = np.sqrt(np.diag(found.covariance))
+            if np.all(np.abs(found.unknowns - before) <= SETTLED * errors + 1e-12 * self.sizes):
+                break
+        return found
+
+    def costs(self, points: Sequence[RealArray], noises: Sequence[ColouredNoise]) -> list[tuple[float, RealArray]]:
+        """Sum of squares at several values of the unknowns, and the whitened residuals."""
+        found = []
+        for point, recordings in zip(points, self.recordings(points), strict=True):
+            white = np.concatenate([self.whitened(self.residuals(point, recordings), noises), self.priors(point)[0]])
+            found.append((float(white @ white), white))
+        return found
+
+    def within(self, unknowns: RealArray) -> RealArray:
+        """The unknowns within their bounds."""
+        return np.clip(unknowns, self._low, self._high)
+
+    def bounds(self, place: int) -> tuple[float, float]:
+        """Bounds of an unknown."""
+        return float(self._low[place]), float(self._high[place])
+
+    def intervals(self, found: Solution, level: float = 0.95) -> tuple[list[tuple[float, float]], list[int]]:
+        """Intervals of all unknowns, and places of those whose profiles aren't parabolas, which are profiled."""
+        from scipy.special import stdtrit
+
+        quantile = float(stdtrit(found.freedom, 0.5 + 0.5 * level))
+        errors = np.sqrt(np.diag(found.covariance))
+        ends = [(x - quantile * e, x + quantile * e) for x, e in zip(found.unknowns, errors, strict=True)]
+        curved, count = set[int](), len(self.free)
+        # the standard errors contain more than the noise's model: what of the sum of squares they stand for
+        scaled = found.jacobian * self.sizes
+        inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True) * np.outer(self.sizes, self.sizes)
+        sides = [(j, side) for j in range(count) for side in (-1.0, 1.0)]
+        directions = {j: inverse[:, j] / max(inverse[j, j], 1e-300) for j in range(count)}
+        wanted = {j: (quantile * errors[j]) ** 2 / max(inverse[j, j], 1e-300) for j in range(count)}
+        lengths = {(j, side): side * quantile * errors[j] for j, side in sides}
+        points = [self.within(found.unknowns + lengths[key] * directions[key[0]]) for key in sides]
+        limits = {key: float(point[key[0]]) for key, point in zip(sides, points, strict=True)}
+        active = dict(zip(sides, self.costs(points, found.noises), strict=True))
+        state = {key: points[i] for i, key in enumerate(sides)}
+        for _ in range(PROFILE_STEPS):
+            off = {
+                key: ratio
+                for key, (cost, _) in active.items()
+                if abs(lengths[key]) > 0.0
+                and abs((ratio := max(cost - found.cost, 1e-9 * wanted[key[0]]) / wanted[key[0]]) - 1.0) > CURVED
+                and not (limits[key] in self.bounds(key[0]) and ratio < 1.0)
+            }
+            if not off:
+                break
+            curved |= {key[0] for key in off}
+            keys = [*off]
+            points = [self._along(found, state[key], active[key][1], key[0], sqrt(1.0 / off[key])) for key in keys]
+            for key, point, cost in zip(keys, points, self.costs(points, found.noises), strict=True):
+                active[key], state[key], limits[key] = cost, point, float(point[key[0]])
+        for j in curved:
+            ends[j] = limits[j, -1.0], limits[j, 1.0]
+        low_high = zip(ends, self._low, self._high, strict=True)
+        return [(float(max(a, low)), float(min(b, high))) for (a, b), low, high in low_high], sorted(curved)
+
+    def _along(self, found: Solution, point: RealArray, white: RealArray, place: int, factor: float) -> RealArray:
+        """The next point of a profile: the parameter's distance changed by a factor, the others by a step of Gauss and Newton."""
+        factor = min(max(factor, 0.3), 3.0)
+        moved = point.copy()
+        moved[place] = found.unknowns[place] + factor * (point[place] - found.unknowns[place])
+        others = np.delete(np.arange(point.size), place)
+        scaled = found.jacobian * self.sizes
+        # the residuals at the new place to first order, then the least squares of the others
+        left = white - scaled[:, place] * (moved[place] - point[place]) / self.sizes[place]
+        step = np.linalg.lstsq(scaled[:, others], left, rcond=1e-10)[0]
+        moved[others] += self.sizes[others] * step
+        return self.within(moved)
+
+
+def _covered(channel: Channel, delay: float, stop_time: float) -> Channel:
+    """The samples of a signal that the simulation covers, with room for other delays.
+
+    Raises:
+        InputError: there are hardly any.
+    """
+    room = 0.02 * stop_time
+    known = channel.time - delay <= stop_time - room
+    if np.count_nonzero(known) < channel.time.size and not known.any():
+        known[:] = False
+    if np.count_nonzero(known) < 8:
+        raise InputError(
+            f"{channel.name}: the log goes from {channel.time[0]:g} to {channel.time[-1]:g} s, the simulation to {stop_time:g} s, so that "
+            "hardly any sample can be compared: check the unit of the time"
+        )
+    if known.all():
+        return channel
+    last = int(np.flatnonzero(known)[-1]) + 1
+    pieces = tuple(slice(p.start, min(p.stop, last)) for p in channel.pieces if p.start < last)
+    return replace(channel, time=channel.time[:last], values=channel.values[:last], pieces=pieces)
+
+
+def undetermined(problem: Problem, found: Solution) -> Mapping[int, tuple[int, ...]]:
+    """Places of parameters that the data don't determine → those that they can't be told apart from, themselves left out.
+
+    In terms of the parameters' sizes, directions whose standard error exceeds `UNKNOWN` are looked at, the worst first; of each the
+    parameter with the largest part is named.
+    """
+    count = len(problem.free)
+    scaled = found.jacobian * problem.sizes
+    information = scaled.T @ scaled
+    own, rest = information[:count, :count], information[count:, count:]
+    mixed = information[:count, count:]
+    reduced = own - mixed @ np.linalg.pinv(rest, hermitian=True) @ mixed.T
+    noise = found.cost / found.freedom
+    values, vectors = np.linalg.eigh(reduced / max(noise, 1e-300))
+    result = dict[int, tuple[int, ...]]()
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value > 1.0 / UNKNOWN**2:
+            break
+        parts = np.flatnonzero(np.abs(vector) >= SHARED * np.abs(vector).max())
+        worst = int(np.argmax(np.abs(vector)))
+        if worst not in result:
+            result[worst] = tuple(int(each) for each in parts if each != worst)
+    return result

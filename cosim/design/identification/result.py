@@ -1,0 +1,409 @@
+"""What an identification found: values with intervals, correlations, tests of the residuals, and what follows for the next commands."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from flexfmu.cosim.engine.files import to_json, write_whole
+from flexfmu.cosim.engine.showing import Rows, csv_text, few_lines, html_table, shown_unit
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE, Curve, Panel, thinned
+from flexfmu.cosim.reports.page import Plot, Table, render_page
+from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
+from flexfmu.model.scene.schema import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+UNLIKELY = 1e-3
+"""Probability below which residuals count as dependent on the motion."""
+
+MOVING = 1.2
+"""Ratio of the residuals while the signal moves to those while it doesn't, from which on the model counts as wrong."""
+
+CORRELATED = 0.9
+"""Correlation of two estimates that is told."""
+
+DRAWS = 200
+"""Number of drawn cases in ``draws.csv``."""
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """A parameter of the model or of a sensor.
+
+    Attributes:
+        name: key, or what it is of a sensor.
+        unit: in SI.
+        start: first value.
+        value: estimate, or what it was kept at.
+        standard_error: of the value; NaN where it was kept.
+        interval: of 95 % confidence; unknown models included where the residuals show that something is missing.
+        kept: why it isn't an estimate; empty where it is one.
+        profiled: whether the interval is that of the profile likelihood.
+        key: of the scene; the name of an FMU's parameter.
+    """
+
+    name: str
+    unit: str
+    start: float
+    value: float
+    standard_error: float
+    interval: tuple[float, float]
+    kept: str = ""
+    profiled: bool = False
+    key: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedSignal:
+    """A measured signal beside the simulated one.
+
+    Attributes:
+        log, name, unit: of the signal.
+        time: (N,) instants of the log, from its start on [s].
+        measured, before, after: (N,) measured values, and simulated ones with the first and the last parameters, as the sensor shows them.
+        noise: standard deviation of its noise.
+        order: of the noise's model; 0 for white noise.
+        whiteness: probability that white noise looks like the whitened residuals.
+        independence: probability that residuals which don't depend on the motion look like these.
+        moving: ratio of the whitened residuals while the signal moves to those while it doesn't.
+        ringing: frequency [Hz] of what rings in the residuals; None for nothing.
+    """
+
+    log: str
+    name: str
+    unit: str
+    time: RealArray = field(repr=False)
+    measured: RealArray = field(repr=False)
+    before: RealArray = field(repr=False)
+    after: RealArray = field(repr=False)
+    noise: float
+    order: int
+    whiteness: float
+    independence: float
+    moving: float
+    ringing: float | None
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether the residuals look like noise of a sensor."""
+        return self.independence >= UNLIKELY and self.moving < MOVING
+
+    @property
+    def rms(self) -> tuple[float, float]:
+        """Root mean square of measured minus simulated values, before and after."""
+        before, after = (float(np.sqrt(np.mean((self.measured - each) ** 2))) for each in (self.before, self.after))
+        return before, after
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """An effect that the scene lacks, and how well it would explain the residuals.
+
+    Attributes:
+        label: the effect in words.
+        changes: key → value that adds it.
+        share: of the sum of squares of the whitened residuals that it explains, 0 to 1.
+        probability: that noise is explained as well.
+        shifts: name of a parameter → by how much its estimate would change.
+    """
+
+    label: str
+    changes: Mapping[str, Any]
+    share: float
+    probability: float
+    shifts: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification(Rows):
+    """Parameters from measurements.
+
+        found.values["payload.mass"], found.estimates[0].interval
+        flexfmu.run(found.scene); flexfmu.margins(scene, payload_band=found.band("payload.mass"))
+
+    Attributes:
+        name: of the scene or FMU.
+        estimates: the model's parameters.
+        sensors: delays, offsets and gains.
+        covariance: of the estimates that weren't kept, in their order (n, n).
+        signals: the measured signals.
+        explanations: effects that the scene lacks, the best first; none where the residuals look like noise, or none was tried.
+        messages: what there is to say.
+        runs: number of simulations.
+        scene: the scene with the values; None for an FMU.
+        changes: key of the scene → its new value.
+    """
+
+    row_name = "parameter"
+
+    name: str
+    estimates: tuple[Estimated, ...]
+    sensors: tuple[Estimated, ...]
+    covariance: RealArray
+    signals: tuple[FittedSignal, ...]
+    explanations: tuple[Explanation, ...]
+    messages: tuple[str, ...]
+    runs: int
+    scene: Scene | None = None
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Name of a parameter → value."""
+        return {each.name: each.value for each in self.estimates}
+
+    @property
+    def free(self) -> tuple[Estimated, ...]:
+        """The estimates that weren't kept."""
+        return tuple(each for each in self.estimates if not each.kept)
+
+    @property
+    def correlations(self) -> RealArray:
+        """Correlations of the estimates that weren't kept (n, n)."""
+        errors = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(errors, errors) if errors.size else self.covariance
+
+    def band(self, name: str) -> tuple[float, float]:
+        """The interval of a parameter: a ``payload_band`` for `flexfmu.margins`, `flexfmu.tune` and `flexfmu.compare`."""
+        return next(each.interval for each in self.estimates if each.name == name)
+
+    def draws(self, count: int = DRAWS, seed: int = 0) -> list[dict[str, float]]:
+        """Parameters drawn from their joint distribution, cases for `flexfmu.sweep`; none leaves what is allowed."""
+        free = self.free
+        if not free:
+            return []
+        errors = np.array([each.standard_error for each in free])
+        drawn = np.random.default_rng(seed).multivariate_normal(np.zeros(len(free)), self.correlations, count)
+        values = np.array([each.value for each in free]) + errors * drawn
+        positive = np.array([each.value > 0.0 for each in free])
+        values = np.where(positive & (values <= 0.0), [each.value for each in free], values)
+        return [dict(zip((each.key for each in free), row, strict=True)) for row in values.tolist()]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for each parameter of the model, then of the sensors, in SI units."""
+        return [
+            {
+                "parameter": each.name,
+                "value": each.value,
+                "standard_error": each.standard_error,
+                "from": each.interval[0],
+                "to": each.interval[1],
+                "start": each.start,
+                "unit": each.unit,
+            }
+            for each in (*self.estimates, *self.sensors)
+        ]
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data in SI units, the content of ``identified.json``."""
+
+        def described(each: Estimated) -> dict[str, Any]:
+            error = each.standard_error if np.isfinite(each.standard_error) else None
+            found = {"value": each.value, "standard_error": error, "interval": [*each.interval], "unit": each.unit}
+            return found | {"start": each.start} | ({"kept": each.kept} if each.kept else {})
+
+        return {
+            "name": self.name,
+            "parameters": {each.name: described(each) for each in self.estimates},
+            "sensors": {each.name: described(each) for each in self.sensors},
+            "correlations": {"parameters": [each.name for each in self.free], "matrix": self.correlations.tolist()},
+            "covariance": self.covariance.tolist(),
+            "signals": [
+                {
+                    "log": each.log,
+                    "signal": each.name,
+                    "unit": each.unit,
+                    "samples": each.time.size,
+                    "rms_before": each.rms[0],
+                    "rms_after": each.rms[1],
+                    "noise": each.noise,
+                    "noise_order": each.order,
+                    "whiteness": each.whiteness,
+                    "independence": each.independence,
+                    "moving": each.moving,
+                    "ringing": each.ringing,
+                }
+                for each in self.signals
+            ],
+            "explanations": [
+                {"effect": each.label, "changes": each.changes, "share": each.share, "probability": each.probability}
+                for each in self.explanations
+            ],
+            "messages": [*self.messages],
+            "runs": self.runs,
+        }
+
+    def __repr__(self) -> str:
+        """Return at most five lines: the values with their standard errors."""
+        items = [f"{each.name} = {_with_error(each)}" for each in self.estimates]
+        return few_lines(f"{self.name} from {len({each.log for each in self.signals})} logs:", items)
+
+    def tables(self) -> Iterator[Table]:
+        """Yield the tables of the page and of the terminal."""
+        for title, group in (("Parameters", self.estimates), ("Sensors", self.sensors)):
+            rows = [
+                [each.name, _with_error(each), _interval(each), f"{each.start:.5g}", shown_unit(each.unit), each.kept]
+                for each in group
+            ]
+            note = "Value ± standard error; the interval is of 95 % confidence."
+            if any(each.profiled for each in group):
+                note += " Unsymmetrical ones are those of the profile likelihood."
+            header = ["Name", "Value", "Interval", "Start", "Unit", ""]
+            if not any(each.kept for each in group):
+                header, rows = header[:-1], [row[:-1] for row in rows]
+            if rows:
+                yield Table(title, header, rows, note, 1 if len(header) > 5 else 0)
+        pairs = [
+            [a.name, b.name, f"{self.correlations[i, j]:+.3f}".replace("-", "−")]
+            for i, a in enumerate(self.free)
+            for j, b in enumerate(self.free[:i])
+            if abs(self.correlations[i, j]) >= CORRELATED
+        ]
+        if pairs:
+            yield Table("Strong correlations", ["Parameter", "with", "Correlation"], pairs)
+        rows = [
+            [
+                f"{each.name} of {each.log}",
+                *(f"{value:.4g} {shown_unit(each.unit)}".rstrip() for value in (*each.rms, each.noise)),
+                "white" if each.order == 0 else f"order {each.order}",
+                f"{each.independence:.2g}",
+                f"{each.moving:.3g}",
+            ]
+            for each in self.signals
+        ]
+        note = "Independence: probability that residuals independent of the motion look like these. Moving: residuals in motion over those at rest."
+        yield Table(
+            "Measured minus simulated",
+            ["Signal", "RMS before", "after", "Noise", "Colour", "Independence", "Moving"],
+            rows,
+            note,
+        )
+        rows = [
+            [
+                each.label,
+                f"{100.0 * each.share:.3g} %",
+                f"{each.probability:.2g}",
+                "; ".join(f"{key} {value:+.3g}" for key, value in each.shifts.items()),
+            ]
+            for each in self.explanations
+        ]
+        if rows:
+            yield Table(
+                "Effects that would explain residuals",
+                ["Effect", "Explains", "By chance", "Estimates would change by"],
+                rows,
+                texts=1,
+            )
+
+    def html_tables(self) -> str:
+        """The tables of a notebook."""
+        return "".join(html_table(table.header, table.rows) for table in self.tables())
+
+    def page(self) -> str:
+        """The page: tables, measured and simulated signals, residuals and their spectra, as HTML."""
+        plots = list[Plot]()
+        for number, each in enumerate(self.signals):
+            chosen = thinned(each.measured, MOST_POINTS // 2)
+            curves = [
+                (each.measured, "measured", INK),
+                (each.before, "before", PALETTE[1]),
+                (each.after, "after", PALETTE[0]),
+            ]
+            left = [
+                (each.measured - each.before, "before", PALETTE[1]),
+                (each.measured - each.after, "after", PALETTE[0]),
+            ]
+            unit = shown_unit(each.unit)
+            panels = tuple(
+                Panel(
+                    label=f"{what}\n[{unit}]",
+                    curves=[Curve(each.time[chosen], y[chosen], label, colour) for y, label, colour in group],
+                )
+                for what, group in ((each.name, curves), ("residual", left))
+            )
+            plots.append(
+                Plot(
+                    f"signal-{number}",
+                    f"{each.name} of {each.log}",
+                    "Measured, and simulated with the first and the identified parameters.",
+                    panels,
+                    height=260.0,
+                )
+            )
+            spectra = [
+                Curve(*found, label, colour)
+                for y, label, colour in left
+                if (found := spectrum(each.time, y, float(each.time[0]))) is not None
+            ]
+            if spectra:
+                panel = spectrum_panel(f"residual\n[{unit}]", spectra)
+                plots.append(
+                    Plot(
+                        f"spectrum-{number}",
+                        f"Spectrum of {each.name} of {each.log}",
+                        spectrum_caption("Residuals"),
+                        (panel,),
+                        "frequency [Hz]",
+                    )
+                )
+        return render_page(f"{self.name}, identified", " ".join(self.messages), plots, [*self.tables()])
+
+    def write(self, folder: str | os.PathLike[str]) -> Path:
+        """Write identified.html, identified.json, and draws.csv for `flexfmu sweep --cases`, into a folder; return its path.
+
+        Raises:
+            ResultsError: a file can't be written, with the system's reason.
+        """
+        target = Path(folder)
+        write_whole(target / "identified.html", self.page())
+        write_whole(target / "identified.json", to_json(self.as_data()))
+        if draws := self.draws():
+            write_whole(target / "draws.csv", csv_text(draws))
+        return target
+
+    def plot(self) -> Figure:
+        """Measured and simulated signals over each other, and what is left."""
+        from flexfmu.cosim.reports.figure_style import draw, style
+
+        with style():
+            figure = draw(8.0, 0.6 + 1.6 * len(self.signals))
+            panels = figure.subplots(len(self.signals), 2, squeeze=False)
+            for (axes, other), each in zip(panels, self.signals, strict=True):
+                axes.plot(each.time, each.measured, color="black", linewidth=0.8, label="measured")
+                axes.plot(each.time, each.before, linewidth=1.0, label="before")
+                axes.plot(each.time, each.after, linewidth=1.0, label="after")
+                other.plot(each.time, each.measured - each.before, linewidth=0.8)
+                other.plot(each.time, each.measured - each.after, linewidth=0.8)
+                axes.set_title(f"{each.name} of {each.log} [{shown_unit(each.unit)}]", fontsize=8.5)
+                other.set_title("measured minus simulated", fontsize=8.5)
+            panels[0, 0].legend(fontsize=8)
+            for axes in panels[-1]:
+                axes.set_xlabel("time [s]")
+        return figure
+
+
+def _with_error(each: Estimated) -> str:
+    """A value with its standard error, in two digits of that."""
+    if not np.isfinite(each.standard_error) or each.standard_error <= 0.0:
+        return f"{each.value:.6g}"
+    digits = max(1, int(np.floor(np.log10(max(abs(each.value), each.standard_error) / each.standard_error))) + 2)
+    return f"{each.value:.{min(digits, 12)}g} ± {each.standard_error:.2g}"
+
+
+def _interval(each: Estimated) -> str:
+    if each.kept:
+        return "–"
+    return f"{each.interval[0]:.5g} to {each.interval[1]:.5g}"
+
+
+def joined(names: Sequence[str]) -> str:
+    """Names in a sentence: a, b and c."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -1,0 +1,770 @@
+"""Parameters of a scene, or of anybody's FMU, from measurements."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+import numpy as np
+
+from flexfmu.cosim.design.identification.estimate import NUISANCES, FreeParameter, Problem, Solution, undetermined
+from flexfmu.cosim.design.identification.measurements import Channel, Experiment, fmu_experiment, scene_experiment
+from flexfmu.cosim.design.identification.noise import ColouredNoise, independence, whiteness
+from flexfmu.cosim.design.identification.result import (
+    UNLIKELY,
+    Estimated,
+    Explanation,
+    FittedSignal,
+    Identification,
+    joined,
+)
+from flexfmu.cosim.engine.errors import DataWarning, InputError, suggestion
+from flexfmu.cosim.engine.fmu.file import open_fmu
+from flexfmu.cosim.engine.measured import Log, Mapped, TimedValues, estimate_delay
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.showing import ShowProgress, quiet
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.parameters import scene_values, scene_with_parameters
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.model.scene.keys import parse_setting, split_values
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.errors import TrajectoryError
+
+UNLIKE, HARDLY = 8.0, 0.5
+"""Ratio of measured to simulated sizes, and correlation, beyond which a log isn't one of this robot in these units."""
+
+LAGS = 8
+"""Samples to both sides that residuals are compared with the motion over."""
+
+FAST = 0.05
+"""Rate of change of a signal, relative to its largest, above which it moves."""
+
+RINGING, NARROW = 0.05, 5.0
+"""Largest damping ratio of what rings in residuals, and periods that it must last within a log."""
+
+MANY_PER_START = 8
+"""Starts whose first costs are compared, for each that is followed to its minimum."""
+
+SPREAD = 2.0
+"""Factor of first values to both sides, of parameters without bounds."""
+
+EXTREME = 6.0
+"""Whitened residual that counts as an outlier."""
+
+LOSSES: Mapping[str, Literal["linear", "soft_l1"]] = {"linear": "linear", "robust": "soft_l1"}
+"""Name of a loss → SciPy's."""
+
+
+@dataclass(frozen=True)
+class LogSource:
+    """A log, and what of the scene belongs to it alone.
+
+    Attributes:
+        log: a file, a data frame or a recording.
+        changes: key of the scene → value, the payload for example.
+    """
+
+    log: Log
+    changes: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        """Name for tables and messages."""
+        return Path(self.log).name if isinstance(self.log, str | Path) else "the measurement"
+
+
+def parse_free(text: str) -> tuple[str, float | None, float, float]:
+    """Return key, first value and bounds of ``KEY``, ``KEY=START`` or ``KEY=FROM:TO``.
+
+    Raises:
+        InputError: the text has another form.
+    """
+    key, equals, value = text.partition("=")
+    try:
+        numbers = [float(each) for each in value.split(":")] if equals else []
+    except ValueError:
+        numbers = [math.nan]
+    if not key.strip() or len(numbers) > 2 or not all(map(math.isfinite, numbers)):
+        raise InputError(
+            f"a free parameter is KEY, KEY=START or KEY=FROM:TO, payload.mass=3:9 for example, got {text!r}"
+        )
+    if len(numbers) < 2:
+        return key.strip(), numbers[0] if numbers else None, -math.inf, math.inf
+    if numbers[0] >= numbers[1]:
+        raise InputError(f"{key}: bounds must ascend, got {value}: write {key}={numbers[1]:g}:{numbers[0]:g}")
+    return key.strip(), None, numbers[0], numbers[1]
+
+
+def parse_prior(text: str) -> tuple[str, tuple[float, float]]:
+    """Return key, mean and standard deviation of ``KEY=VALUE+-DEVIATION``.
+
+    Raises:
+        InputError: the text has another form.
+    """
+    key, _, value = text.partition("=")
+    try:
+        mean, deviation = (float(each) for each in value.replace("±", "+-").split("+-"))
+    except ValueError:
+        mean, deviation = math.nan, math.nan
+    if not (key.strip() and math.isfinite(mean) and 0.0 < deviation < math.inf):
+        raise InputError(f"a prior is KEY=VALUE+-DEVIATION, payload.mass=6+-0.5 for example, got {text!r}")
+    return key.strip(), (mean, deviation)
+
+
+def parse_log(text: str) -> LogSource:
+    """Return the log of ``LOG.csv`` or ``LOG.csv:KEY=VALUE,KEY=VALUE``.
+
+    Raises:
+        InputError: there is no such file, or the text has another form.
+    """
+    path, colon, changes = text.rpartition(":")
+    if not colon or Path(text).exists() or "=" not in changes:
+        path, changes = text, ""
+    if Path(path).is_dir() or not Path(path).exists():
+        raise InputError(f"there is no log {path}")
+    return LogSource(path, dict(parse_setting(each) for each in split_values(changes, path)) if changes else {})
+
+
+def parse_segment(text: str) -> tuple[float, float]:
+    """Return begin and end [s] of ``FROM:TO``.
+
+    Raises:
+        InputError: the text has another form, or they don't ascend.
+    """
+    try:
+        begin, end = (float(each) for each in text.split(":"))
+    except ValueError:
+        begin, end = 0.0, 0.0
+    if not -math.inf < begin < end < math.inf:
+        raise InputError(f"a segment is FROM:TO in s, 0.1:0.6 for example, got {text!r}")
+    return begin, end
+
+
+def parse_sensors(text: str | None, usual: Collection[str]) -> Collection[str]:
+    """What is unknown of sensors, from names with commas; ``none`` for nothing."""
+    if text is None:
+        return usual
+    return () if text.strip() == "none" else [each.strip() for each in text.split(",")]
+
+
+Free = Iterable[str] | Mapping[str, float | tuple[float, float]]
+"""Keys, as texts for `parse_free`; or key → first value, or bounds."""
+
+
+def _free_texts(free: Free) -> list[str]:
+    if isinstance(free, str):
+        return [each for each in free.split(",") if each.strip()]
+    if not isinstance(free, Mapping):
+        return [*free]
+    return [
+        f"{key}={':'.join(map(repr, value)) if isinstance(value, tuple) else repr(value)}"
+        for key, value in free.items()
+    ]
+
+
+def identify_scene(
+    scene: Scene,
+    logs: Sequence[LogSource],
+    free: Free,
+    *,
+    mapping: Mapping[str, Mapped] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    sensors: Collection[str] = ("delay", "offset"),
+    loss: str = "linear",
+    starts: int = 1,
+    seed: int = 0,
+    segments: Sequence[tuple[float, float]] = (),
+    explain: bool | None = None,
+    strict: bool = False,
+    show: ShowProgress = quiet,
+) -> Identification:
+    """Estimate parameters of a scene from logs.
+
+    Args:
+        scene: the scene, with first values.
+        logs: at least one.
+        free: what is estimated: keys of the scene without the names of the sections `mechanism` and `effects`, or with them.
+        mapping: column of the logs → what it is.
+        priors: key → mean and standard deviation of what is known beforehand.
+        sensors: what is unknown of them: `delay`, `offset`, `gain`.
+        loss: `linear`, or `robust` against outliers.
+        starts: number of first values from which the least squares are looked for; more than one are drawn within the bounds.
+        seed: of these.
+        segments: intervals of the logs' times whose samples count [s]; none for all.
+        explain: whether effects that the scene lacks are tried; None for where the residuals aren't noise.
+        strict: whether a value in a log that is no finite number is an error instead of left out.
+        show: called with what is being done, and the finished fraction.
+
+    Raises:
+        InputError: a key or a log can't be used, or the log isn't one of this robot; the message says why.
+        SceneError: a first value is out of range.
+        BuildError: the FMU can't be built.
+        ResultsError: a simulation failed.
+    """
+    known = scene_values(scene)
+    names, base, parameters = _chosen(scene, free, priors or {}), scene, list[FreeParameter]()
+    changes = {known[name].key: start for name, start, *_ in names if start is not None}
+    base = scene.replace(changes) if changes else scene
+    show("building the robot", None)
+    description = {each.name: each for each in open_fmu(build_scene(base).path).description.modelVariables}
+    for name, start, low, high, prior in names:
+        if (variable := description.get(name)) is None:
+            raise InputError(
+                f"{known[name].key} has no influence on scene {scene.name}: give the effect that it belongs to a value, or leave it out"
+            )
+        least = -math.inf if variable.min is None else float(variable.min)
+        most = math.inf if variable.max is None else float(variable.max)
+        first = scene_values(base)[name].value if start is None else start
+        parameters.append(FreeParameter(name, variable.unit or "1", first, max(low, least), min(high, most), prior))
+    if overlap := next(
+        (key for each in logs for key in each.changes if _short(key) in {p.name for p in parameters}), None
+    ):
+        raise InputError(f"{overlap} is both free and given for a log: leave out one of them")
+    with TemporaryDirectory() as folder:
+
+        def prepared(extra: Mapping[str, Any]) -> list[Experiment]:
+            found = []
+            for each in logs:
+                robot = base.replace({**each.changes, **extra}) if each.changes or extra else base
+                path = build_scene(robot).path
+                found.append(
+                    scene_experiment(
+                        robot, path, each.log, mapping or {}, folder, segments, name=each.name, strict=strict
+                    )
+                )
+            return found
+
+        study = _Study(scene.name, prepared({}), parameters, sensors, loss, show)
+        solved = study.solved(starts, seed)
+        explanations = study.explanations(solved, base, prepared, explain)
+    found = study.result(solved, explanations)
+    values = {p.name: found.values[p.name] for p in parameters}
+    keys = {known[name].key: value for name, value in values.items()}
+    keyed = tuple(replace(each, key=known[each.name].key) for each in found.estimates)
+    return replace(
+        found, estimates=keyed, scene=scene_with_parameters(base, values), changes=_whole_keys(base, values, keys)
+    )
+
+
+def identify_fmu(
+    path: Path,
+    logs: Sequence[LogSource],
+    free: Free,
+    *,
+    mapping: Mapping[str, Mapped] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    sensors: Collection[str] = (),
+    loss: str = "linear",
+    starts: int = 1,
+    seed: int = 0,
+    segments: Sequence[tuple[float, float]] = (),
+    step: float | None = None,
+    tolerance: float | None = None,
+    strict: bool = False,
+    show: ShowProgress = quiet,
+) -> Identification:
+    """Estimate parameters, or start values, of anybody's FMU from logs whose columns are its inputs and outputs.
+
+    Args:
+        path: of the FMU; its start values are the first ones.
+        step: communication step [s]; None for the FMU's own, at most the samples' distance.
+        tolerance: relative tolerance; None for the FMU's own.
+        Others as for `identify_scene`.
+
+    Raises: as for `identify_scene`.
+    """
+    variables = {each.name: each for each in open_fmu(path).description.modelVariables}
+    given, parameters = priors or {}, list[FreeParameter]()
+    for text in _free_texts(free):
+        name, start, low, high = parse_free(text)
+        variable = variables.get(name)
+        if variable is None or variable.causality == "input":
+            settable = [key for key, each in variables.items() if each.start is not None and each.causality != "input"]
+            raise InputError(f"{path.name} has no parameter {name!r}; {suggestion(name, settable)}")
+        own = start if start is not None or variable.start is None else float(variable.start)
+        first = own if own is not None else 0.5 * (low + high)
+        if not math.isfinite(first) or (first == 0.0 and low == -math.inf):
+            raise InputError(
+                f"{name} of {path.name} starts at {first:g}: give a first value or bounds, {name}=0.1:1 for example"
+            )
+        least = -math.inf if variable.min is None else float(variable.min)
+        most = math.inf if variable.max is None else float(variable.max)
+        bounds = max(low, least), min(high, most)
+        parameters.append(
+            FreeParameter(name, variable.unit or "1", min(max(first, bounds[0]), bounds[1]), *bounds, given.get(name))
+        )
+    _check(parameters, given)
+    if changed := next((each for each in logs if each.changes), None):
+        raise InputError(f"{changed.name}: keys of a scene can't be given for an FMU")
+    experiments = [
+        fmu_experiment(
+            path, each.log, mapping or {}, segments, name=each.name, step=step, tolerance=tolerance, strict=strict
+        )
+        for each in logs
+    ]
+    study = _Study(path.stem, experiments, parameters, sensors, loss, show)
+    return study.result(study.solved(starts, seed), ())
+
+
+def _short(key: str) -> str:
+    """Name of a key's parameter in the FMU."""
+    return key.removeprefix("mechanism.").removeprefix("effects.")
+
+
+def _chosen(
+    scene: Scene, free: Free, priors: Mapping[str, tuple[float, float]]
+) -> list[tuple[str, float | None, float, float, tuple[float, float] | None]]:
+    """Name, first value or None, bounds and prior of the free parameters.
+
+    Raises:
+        InputError: a key doesn't exist, is there twice, or has no first value; or a prior is for none of them.
+    """
+    known, found = scene_values(scene), list[tuple[str, float | None, float, float, tuple[float, float] | None]]()
+    given = {_short(key): each for key, each in priors.items()}
+    for text in _free_texts(free):
+        key, start, low, high = parse_free(text)
+        name = _short(key)
+        if name not in known or name.startswith("start."):
+            raise InputError(
+                f"{key} can't be estimated: no parameter of {scene.name} has that name; {suggestion(name, known)}"
+            )
+        if name in {each[0] for each in found}:
+            raise InputError(f"{key} is free twice: name it once")
+        own = known[name].value
+        if start is None and not low <= own <= high:
+            start = 0.5 * (low + high)
+        if start is None and own == 0.0:
+            if high == math.inf:
+                raise InputError(f"{key} is 0 in scene {scene.name}: give a first value, {key}=0.01 for example")
+            start = 0.5 * (low + high)
+        found.append((name, start, low, high, given.get(name)))
+    if not found:
+        raise InputError("nothing is free: name at least one parameter, payload.mass for example")
+    if unknown := given.keys() - {each[0] for each in found}:
+        raise InputError(f"the prior of {min(unknown)} is for no free parameter: name it in --free, too")
+    return found
+
+
+def _check(parameters: Sequence[FreeParameter], priors: Mapping[str, object]) -> None:
+    names = [each.name for each in parameters]
+    if not names:
+        raise InputError("nothing is free: name at least one parameter")
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise InputError(f"{twice} is free twice: name it once")
+    if unknown := priors.keys() - set(names):
+        raise InputError(f"the prior of {min(unknown)} is for no free parameter: name it in --free, too")
+
+
+def _whole_keys(scene: Scene, values: Mapping[str, float], keys: Mapping[str, float]) -> dict[str, Any]:
+    """Key of the scene → new value; of a vector all components."""
+    found = dict[str, Any]()
+    for (name, value), key in zip(values.items(), keys, strict=True):
+        if name.endswith((".x", ".y")):
+            vector = found.setdefault(key, [scene_values(scene)[f"{name[:-1]}{axis}"].value for axis in "xy"])
+            vector["xy".index(name[-1])] = value
+        else:
+            found[key] = value
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """A fit, what was kept at its first value and why, and how the starts ended."""
+
+    problem: Problem
+    solution: Solution
+    kept: Mapping[str, str]
+    messages: tuple[str, ...]
+
+
+class _Study:
+    """The least squares of experiments with each other, first values and tests included.
+
+    Args:
+        name: of the scene or FMU.
+        experiments: at least one.
+        parameters: what is estimated.
+        sensors: what is unknown of them.
+        loss: of `LOSSES`.
+        show: shows progress.
+
+    Raises:
+        InputError: an argument is none of its choices, or a log isn't one of this robot.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        experiments: Sequence[Experiment],
+        parameters: Sequence[FreeParameter],
+        sensors: Collection[str],
+        loss: str,
+        show: ShowProgress,
+    ) -> None:
+        if not experiments:
+            raise InputError("there is no log: give at least one")
+        if unknown := [each for each in sensors if each not in NUISANCES]:
+            raise InputError(f"{unknown[0]!r} isn't known of sensors; {suggestion(unknown[0], NUISANCES)}")
+        if loss not in LOSSES:
+            raise InputError(f"there is no loss {loss!r}; {suggestion(loss, LOSSES)}")
+        self._name, self._experiments, self._parameters, self._show = name, experiments, parameters, show
+        self._sensors, self._loss, self._runs = tuple(sensors), LOSSES[loss], 0
+        show("simulating with the first values", None)
+        start = {each.name: each.start for each in parameters}
+        self._first = [each.simulate([start])[0] for each in experiments]
+        self._delays = [_first_delay(each, run) for each, run in zip(experiments, self._first, strict=True)]
+        for each, run, delay in zip(experiments, self._first, self._delays, strict=True):
+            _check_likeness(each, run, delay, name)
+
+    def _problem(self, parameters: Sequence[FreeParameter], fixed: Mapping[str, float]) -> Problem:
+        """The problem with some parameters at fixed values."""
+        before = self._runs
+
+        def show(runs: int) -> None:
+            self._runs = before + runs
+            self._show(f"least squares, {self._runs} runs", None)
+
+        experiments = [replace(each, simulate=partial(_with_fixed, each, fixed)) for each in self._experiments]
+        return Problem(experiments, parameters, self._sensors, self._delays, self._loss, show)
+
+    def solved(self, starts: int, seed: int) -> _Solved:
+        """Fit, and fit again without what the data don't determine."""
+        if not 1 <= starts <= 1000:
+            raise InputError(f"the number of starts goes from 1 to 1000, got {starts}")
+        parameters, kept, messages = [*self._parameters], dict[str, str](), list[str]()
+        while True:
+            problem = self._problem(
+                parameters, {each.name: each.start for each in self._parameters if each.name in kept}
+            )
+            solution = problem.solve()
+            if starts > 1:
+                solution, message = self._from_several(problem, solution, starts, seed)
+                messages[:] = [message]
+            unclear = undetermined(problem, solution)
+            if not unclear:
+                return _Solved(problem, solution, kept, tuple(messages))
+            place, others = next(iter(unclear.items()))
+            worst = parameters[place]
+            told = joined([parameters[i].name for i in others])
+            kept[worst.name] = f"can't be told apart from {told}" if told else "has no influence on what was measured"
+            del parameters[place]
+            if not parameters:
+                raise InputError(
+                    f"the logs don't determine {joined([each.name for each in self._parameters])}: {kept[worst.name]}; take another motion (--design) or signal"
+                )
+
+    def _from_several(self, problem: Problem, first: Solution, starts: int, seed: int) -> tuple[Solution, str]:
+        """The best of fits from several first values, and how many of them agree with it."""
+        from scipy.stats import qmc
+
+        count = len(problem.free)
+        points = qmc.LatinHypercube(count, rng=np.random.default_rng(seed)).random(MANY_PER_START * (starts - 1))
+        ends = np.array([_range_of(each) for each in problem.free])
+        drawn = [np.append(row, problem.start[count:]) for row in ends[:, 0] + points * (ends[:, 1] - ends[:, 0])]
+        noises = problem.noises(first)
+        costs = [cost for cost, _ in problem.costs(drawn, noises)]
+        found = [first]
+        for number, place in enumerate(np.argsort(costs)[: starts - 1].tolist()):
+            self._show(f"start {number + 2} of {starts}", (number + 1) / starts)
+            found.append(problem.fit(drawn[place], noises))
+        best = min(found, key=lambda each: problem.costs([each.unknowns], noises)[0][0])
+        errors = np.sqrt(np.diag(best.covariance))[:count]
+        agreeing = sum(bool(np.all(np.abs(each.unknowns - best.unknowns)[:count] <= errors)) for each in found)
+        return problem.solve(best.unknowns), f"{agreeing} of {starts} starts end at the same values."
+
+    def explanations(
+        self, solved: _Solved, scene: Scene, prepared: Any, wanted: bool | None
+    ) -> tuple[Explanation, ...]:
+        """Effects that the scene lacks and that would explain residuals, the best first.
+
+        Args:
+            solved: the fit.
+            scene: the scene of all logs.
+            prepared: changes of the scene → experiments.
+            wanted: whether they are tried; None for where the residuals depend on the motion.
+        """
+        signals = self._signals(solved)
+        if wanted is False or (wanted is None and all(each.is_explained for each in signals)):
+            return ()
+        problem, solution = solved.problem, solved.solution
+        from scipy.special import stdtr
+
+        values = {each.name: float(x) for each, x in zip(problem.free, solution.unknowns, strict=False)}
+        values |= {each.name: each.start for each in self._parameters if each.name in solved.kept}
+        scaled = solution.jacobian * problem.sizes
+        inverse = np.linalg.pinv(scaled, rcond=1e-10)
+        found = list[Explanation]()
+        candidates = [
+            *_candidates(scene, [each.channel.values for each in problem.rows if each.channel.kind == "torque"])
+        ]
+        for number, (label, changes) in enumerate(candidates):
+            self._show(f"trying {label}", number / len(candidates))
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", DataWarning)
+                    richer = prepared(changes)
+                recordings = [each.simulate([values])[0] for each in richer]
+            except (InputError, TrajectoryError, ArithmeticError):
+                continue
+            own = solution.simulated
+            parts = [
+                problem.simulated(row, recordings[row.experiment], solution.unknowns)[0] - y
+                for row, y in zip(problem.rows, own, strict=True)
+            ]
+            change = np.concatenate(
+                [problem.whitened(parts, solution.noises), np.zeros(solution.white.size - problem.samples)]
+            )
+            # what the parameters can't do themselves
+            beyond = change - scaled @ (inverse @ change)
+            size = float(beyond @ beyond)
+            if size <= 1e-12 * max(float(change @ change), 1e-300):
+                continue
+            factor = float(beyond @ solution.white) / size
+            share = factor**2 * size / solution.cost
+            if factor <= 0.0:
+                continue
+            left = max(1.0 - share, 1e-12)
+            probability = 2.0 * float(stdtr(solution.freedom, -math.sqrt(share / left * solution.freedom)))
+            shifts = -factor * problem.sizes * (inverse @ change)
+            named = {each.name: float(x) for each, x in zip(problem.free, shifts, strict=False)}
+            found.append(Explanation(label, changes, share, probability, named))
+        return tuple(sorted((each for each in found if each.probability < 0.01), key=lambda each: -each.share))
+
+    def _signals(self, solved: _Solved) -> tuple[FittedSignal, ...]:
+        """The measured signals beside the simulated ones, and what their residuals tell."""
+        from scipy.special import fdtrc
+
+        problem, solution, found, begin = solved.problem, solved.solution, list[FittedSignal](), 0
+        share = len(solution.unknowns) / max(len(problem.rows), 1)
+        for row, noise, residual, after in zip(
+            problem.rows, solution.noises, solution.residuals, solution.simulated, strict=True
+        ):
+            channel, end = row.channel, begin + row.channel.time.size
+            white = solution.white[begin:end]
+            begin = end
+            before, _ = channel.simulated(self._first[row.experiment], channel.time - self._delays[row.experiment])
+            rate = np.abs(np.gradient(after, channel.time))
+            moves = rate > FAST * rate.max(initial=0.0)
+            moving = 1.0
+            if min(np.count_nonzero(moves), np.count_nonzero(~moves)) > 10:
+                powers = [float(np.mean(white[each] ** 2)) for each in (moves, ~moves)]
+                moving = math.sqrt(powers[0] / max(powers[1], 1e-300))
+                if fdtrc(np.count_nonzero(moves), np.count_nonzero(~moves), moving**2) > UNLIKELY:
+                    moving = min(moving, 1.0)
+            # the signal itself at several lags, and the motion
+            inputs, motion = _lagged(after, channel), self._experiments[row.experiment].motion
+            if motion is not None:
+                delay = self._delays[row.experiment] if row.delay is None else float(solution.unknowns[row.delay])
+                inputs = np.hstack([inputs, motion(channel.time - delay)])
+            independent = independence(white, noise.whitened(inputs, channel.pieces), round(share))
+            found.append(
+                FittedSignal(
+                    log=self._experiments[row.experiment].name,
+                    name=channel.name,
+                    unit=channel.unit,
+                    time=channel.time,
+                    measured=channel.values,
+                    before=before,
+                    after=after,
+                    noise=float(np.std(residual)),
+                    order=noise.order,
+                    whiteness=whiteness(white, channel.pieces),
+                    independence=independent,
+                    moving=moving,
+                    ringing=_ringing(noise, float(np.ptp(channel.time))),
+                )
+            )
+        return tuple(found)
+
+    def result(self, solved: _Solved, explanations: Sequence[Explanation]) -> Identification:
+        """The values with their intervals, and what there is to say."""
+        problem, solution, count = solved.problem, solved.solution, len(solved.problem.free)
+        self._show("intervals", None)
+        intervals, profiled = problem.intervals(solution)
+        errors, signals = np.sqrt(np.diag(solution.covariance)), self._signals(solved)
+        messages = [*self._messages(solved, signals, explanations)]
+        best = explanations[0] if explanations and not all(each.is_explained for each in signals) else None
+        estimates, free = list[Estimated](), [each.name for each in problem.free]
+        for each in self._parameters:
+            if each.name in solved.kept:
+                reason = solved.kept[each.name]
+                estimates.append(
+                    Estimated(
+                        each.name,
+                        each.unit,
+                        each.start,
+                        each.start,
+                        math.nan,
+                        (each.start, each.start),
+                        reason,
+                        False,
+                        each.name,
+                    )
+                )
+                continue
+            j = free.index(each.name)
+            low, high = intervals[j]
+            # a model that explains more has other values: its interval counts as well
+            shift = 0.0 if best is None else best.shifts.get(each.name, 0.0)
+            low, high = max(low + min(shift, 0.0), each.low), min(high + max(shift, 0.0), each.high)
+            estimates.append(
+                Estimated(
+                    each.name,
+                    each.unit,
+                    each.start,
+                    float(solution.unknowns[j]),
+                    float(errors[j]),
+                    (low, high),
+                    "",
+                    j in profiled,
+                    each.name,
+                )
+            )
+        sensors = [
+            Estimated(
+                name,
+                _unit_of(name, problem),
+                float(problem.start[j]),
+                float(solution.unknowns[j]),
+                float(errors[j]),
+                intervals[j],
+            )
+            for j, name in enumerate(problem.nuisances, count)
+        ]
+        covariance = solution.covariance[:count, :count]
+        return Identification(
+            self._name,
+            tuple(estimates),
+            tuple(sensors),
+            covariance,
+            signals,
+            tuple(explanations),
+            tuple(messages),
+            self._runs,
+        )
+
+    def _messages(
+        self, solved: _Solved, signals: Sequence[FittedSignal], explanations: Sequence[Explanation]
+    ) -> Iterable[str]:
+        yield from solved.messages
+        for name, reason in solved.kept.items():
+            yield f"{name} {reason}: it stays at its first value."
+        for j, each in enumerate(solved.problem.free):
+            if solved.solution.unknowns[j] in (each.low, each.high):
+                yield f"{each.name} ends at its bound, {solved.solution.unknowns[j]:g} {each.unit}."
+        unlike = [each for each in signals if not each.is_explained]
+        for signal in unlike:
+            rings = "" if signal.ringing is None else f", and ring at {signal.ringing:.4g} Hz"
+            yield f"The residuals of {signal.name} of {signal.log} depend on the motion{rings}: the model lacks something."
+        if unlike and explanations:
+            best = explanations[0]
+            yield f"{best.label[0].upper()}{best.label[1:]} would explain {100.0 * best.share:.3g} % of them; the intervals contain the estimates with it."
+        elif unlike:
+            yield "No effect that was tried would explain them; the intervals hold for noise alone."
+        outliers = int(np.count_nonzero(np.abs(solved.solution.white) > EXTREME))
+        if outliers and self._loss == "linear":
+            yield f"{outliers} residuals exceed {EXTREME:g} standard deviations: a robust loss gives them less weight."
+
+
+def _with_fixed(
+    experiment: Experiment, fixed: Mapping[str, float], variants: Sequence[Mapping[str, float]]
+) -> list[Recording]:
+    """Recordings of variants that have some parameters in common."""
+    return experiment.simulate([{**fixed, **variant} for variant in variants])
+
+
+def _unit_of(name: str, problem: Problem) -> str:
+    """Unit of a sensor's unknown."""
+    if name.startswith("delay"):
+        return "s"
+    return (
+        "1"
+        if name.startswith("gain")
+        else next(row.channel.unit for row in problem.rows if f" {row.channel.name} of " in name)
+    )
+
+
+def _range_of(each: FreeParameter) -> tuple[float, float]:
+    """Between which first values are drawn."""
+    ends = sorted((each.start / SPREAD, each.start * SPREAD))
+    return max(each.low, ends[0]) if each.low == -math.inf or not each.low else each.low, min(
+        each.high, ends[1]
+    ) if each.high == math.inf else each.high
+
+
+def _lagged(signal: RealArray, channel: Channel) -> RealArray:
+    """A signal at several lags (N, 2 `LAGS` + 1), constant beyond the ends."""
+    places = np.arange(signal.size)
+    return np.column_stack([signal[np.clip(places + lag, 0, signal.size - 1)] for lag in range(-LAGS, LAGS + 1)])
+
+
+def _ringing(noise: ColouredNoise, duration: float) -> float | None:
+    """Frequency of the least damped pair of poles of a noise's model, where it rings for long [Hz]."""
+    for frequency, damping in noise.resonances:
+        if damping < RINGING and frequency * duration > NARROW and frequency < 0.4 / noise.step:
+            return frequency
+    return None
+
+
+def _first_delay(experiment: Experiment, run: Recording) -> float:
+    """First delay of a log's signals [s]."""
+    if experiment.has_clock:
+        return 0.0
+    pairs = []
+    for each in experiment.channels:
+        simulated, _ = each.simulated(run, run.time)
+        pairs.append((TimedValues(each.time, each.values), TimedValues(run.time, simulated)))
+    return estimate_delay(pairs).seconds
+
+
+def _check_likeness(experiment: Experiment, run: Recording, delay: float, name: str) -> None:
+    """Check that what was measured is like what is simulated with the first values.
+
+    Raises:
+        InputError: it is much larger or smaller, or hardly correlated.
+    """
+    for each in experiment.channels:
+        simulated, _ = each.simulated(run, each.time - delay)
+        spreads = [float(np.std(values)) for values in (each.values, simulated)]
+        if min(spreads) <= 1e-12 * max(*spreads, 1e-300):
+            continue
+        ratio = spreads[0] / spreads[1]
+        correlation = float(np.corrcoef(each.values, simulated)[0, 1])
+        if not 1.0 / UNLIKE < ratio < UNLIKE and abs(correlation) > HARDLY:
+            raise InputError(
+                f"{experiment.name}: {each.name} is {ratio:.3g} times as large as simulated: is its unit {each.unit or '1'}? Map it with its "
+                f'unit, --map "{each.name}={each.name}*1e-3" for example'
+            )
+        if correlation < HARDLY and experiment.scene is not None:
+            sign = " with the opposite sign" if correlation < -HARDLY else ""
+            raise InputError(
+                f"{experiment.name}: {each.name} has a correlation of {correlation:.2g} with that of {name}: is it a log of this robot and this "
+                f"motion? Check columns and units{sign and ', and the sign'}"
+            )
+
+
+def _candidates(scene: Scene, torques: Sequence[RealArray]) -> Iterable[tuple[str, dict[str, Any]]]:
+    """Effects that a scene may lack, in words, and the changes that add them."""
+    effects = scene.effects
+    for family in ("proximal_bending", "distal_bending", "distal_axial", "proximal_axial"):
+        count = getattr(effects, family)
+        words = family.replace("_", " ")
+        yield (f"{words} (one mode)" if not count else f"one more mode of {words}"), {f"effects.{family}": count + 1}
+    friction = effects.joint_friction
+    size = max((float(np.abs(each).max()) for each in torques), default=10.0)
+    if not friction.viscous:
+        yield "viscous friction of the motors", {"effects.joint_friction.viscous": 0.01 * size}
+    if not friction.coulomb:
+        yield "dry friction of the motors", {"effects.joint_friction.coulomb": 0.02 * size}
+    if not effects.motor_inertia:
+        yield "inertia of the motors", {"effects.motor_inertia": 0.01}
+    if not effects.foreshortening:
+        yield "foreshortening of bent links", {"effects.foreshortening": True}
+    if effects.transmission is None:
+        yield "elastic transmissions", {"effects.transmission": {"stiffness": 1e5}}
