@@ -81,7 +81,6 @@ ALONE = {
     "cosim.control.disturbances": "blocks of disturbances, and sums for the loop",
     "cosim.design.gains.search": "the optimiser",
     "cosim.design.margins.measured_loop": "a loop around a measured plant",
-    "cosim.design.identification.estimate": "least squares with coloured noise",
     "cosim.design.margins.pictures": "drawing",
     "cosim.design.plans.optimal": "methods of the planner",
     "cosim.design.plans.search": "a method of the planner",

@@ -214,7 +214,7 @@ def effects(
 
 def identify(
     scene: str,
-    logs: list[str],
+    logs: Annotated[list[str] | None, typer.Argument()] = None,
     free: list[str] | None = None,
     mapping: list[str] | None = None,
     prior: list[str] | None = None,
@@ -226,6 +226,11 @@ def identify(
     explain: bool | None = None,
     step: float | None = None,
     strict: bool = False,
+    design: bool = False,
+    criterion: Literal["D", "A"] = "D",
+    signal: list[str] | None = None,
+    noise: float = 0.01,
+    sample_time: float = 1e-3,
     output: Path | None = None,
     out: Path | None = None,
     settings: list[str] | None = None,
@@ -237,6 +242,9 @@ def identify(
     joints drive a motion-driven robot, torques of both motors a torque-driven one without controllers; else it makes the
     scene's own motion. What else there is, torques, accelerations or strains, is compared. Noise may be coloured: it is
     modelled from the residuals. The exit status is 1 if residuals show that the model lacks something.
+
+    With --design, without a log: which motion would determine the parameters best, within the limits of torque and velocity of
+    the scene's motors or of its own motion, and the standard errors to be expected.
 
     Args:
         scene (SCENE): A scene, or an FMU (.fmu), whose inputs and outputs a log's columns are.
@@ -255,7 +263,13 @@ def identify(
         explain: Try effects that the scene lacks on the residuals; each needs an FMU. Default: where they aren't noise.
         step (SECONDS): Communication step with an FMU. Default: its own.
         strict: Refuse logs with values that are no finite numbers (nan, inf). Default: leave them out and tell the line.
-        output (-o, --output FILE.toml): Write the scene with the identified values here. Default: nowhere.
+        design: Propose a motion instead.
+        criterion (NAME): Of --design: D, the determinant of the relative covariance, or A, its trace.
+        signal (NAME): Of --design: what will be measured; may be repeated. Default: both torques.
+        noise (RELATIVE): Of --design: standard deviation of noise relative to each signal's largest value.
+        sample_time (SECONDS): Of --design: distance of the log's samples.
+        output (-o, --output FILE.toml): Write the scene with the identified values, or with the proposed motion, here. Default:
+            nowhere.
         out (DIR): Write identified.html, identified.json and draws.csv, cases for `flexfmu sweep`, there. Default: nowhere.
     """
     from flexfmu.cosim.design.gains.goals import split
@@ -271,6 +285,12 @@ def identify(
     from flexfmu.cosim.engine.measured import parse_mapping
     from flexfmu.cosim.reports.terminal import as_terminal_table
 
+    if design:
+        return _design(
+            scene, logs, split(free or ()), sensors, criterion, signal, noise, sample_time, output, settings, json
+        )
+    if not logs:
+        raise InputError("there is no log: name at least one, or take --design")
     sources = [parse_log(each) for each in logs]
     shared: dict[str, Any] = {
         "mapping": dict(map(parse_mapping, mapping or ())),
@@ -307,6 +327,53 @@ def identify(
     where = [f"files: {each}" for each in (output, out) if each is not None]
     console.print_result(json, found.as_data(), *map(as_terminal_table, found.tables()), *found.messages, *where)
     return 0 if all(each.is_explained for each in found.signals) else console.FAILURE
+
+
+def _design(
+    scene: str,
+    logs: Sequence[str] | None,
+    free: Sequence[str],
+    sensors: str | None,
+    criterion: Literal["D", "A"],
+    signals: Sequence[str] | None,
+    noise: float,
+    sample_time: float,
+    output: Path | None,
+    settings: list[str] | None,
+    json: bool,
+) -> int:
+    """Propose a motion."""
+    from flexfmu.cosim.design.identification.experiments import TORQUES, propose_motions
+    from flexfmu.cosim.design.identification.study import free_parameters, parse_sensors
+    from flexfmu.cosim.design.scene_files import write_changed
+    from flexfmu.cosim.reports.terminal import as_terminal_table
+
+    if logs or scene.endswith(".fmu"):
+        raise InputError("--design takes a scene and no log")
+    console.check_scene_file(output)
+    robot = console.load_resolved(scene, settings)
+    with console.progress() as show:
+        base, parameters = free_parameters(robot, free, {}, show)
+        found = propose_motions(
+            base,
+            parameters,
+            signals=signals or TORQUES,
+            noise=noise,
+            sample_time=sample_time,
+            sensors=parse_sensors(sensors, ("delay", "offset")),
+            criterion=criterion,
+            show=show,
+        )
+    if output is not None:
+        write_changed(scene, output, {**dict(map(parse_setting, settings or ())), **found.best.changes})
+    console.print_result(
+        json,
+        found.as_data(),
+        as_terminal_table(found.table()),
+        repr(found),
+        *([] if output is None else [f"files: {output}"]),
+    )
+    return 0
 
 
 def tune(

@@ -15,7 +15,7 @@ import os
 from importlib import import_module
 
 _NAMES = {
-    "api": "build compare frequency_response identify linearize margins modes plan_motion reference_motion run start_gains sweep tune",
+    "api": "build compare frequency_response identify linearize margins modes plan_motion propose_motions reference_motion run start_gains sweep tune",
     "cosim.control.controllers.own_function": "controller",
     "cosim.design.effects.study": "study_effects",
     "cosim.design.response.response": "FrequencyResponse",

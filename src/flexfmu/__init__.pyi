@@ -12,6 +12,7 @@ from flexfmu.api import linearize as linearize
 from flexfmu.api import margins as margins
 from flexfmu.api import modes as modes
 from flexfmu.api import plan_motion as plan_motion
+from flexfmu.api import propose_motions as propose_motions
 from flexfmu.api import reference_motion as reference_motion
 from flexfmu.api import run as run
 from flexfmu.api import start_gains as start_gains
@@ -61,6 +62,6 @@ from flexfmu.systems import simulate as simulate
 from flexfmu.systems import slave as slave
 from flexfmu.trajectories.errors import TrajectoryError as TrajectoryError
 
-__all__ = ['AlgebraicLoopError', 'BuildError', 'EquilibriumError', 'Error', 'FmuFileError', 'FrequencyResponse', 'InputError', 'LoopWarning', 'Metric', 'MissingCompilerError', 'Motor', 'ResultsError', 'Run', 'RunMetrics', 'RunWarning', 'Scene', 'SceneError', 'SceneWarning', 'Selection', 'SlaveError', 'SlaveVariable', 'TrajectoryError', 'WiringError', '__version__', 'build', 'compare', 'control', 'controller', 'dae', 'display', 'disturbances', 'event', 'export_slaves', 'export_ssp', 'filters', 'frequency_response', 'identify', 'imperfections', 'lagrangian', 'linearize', 'link_stresses', 'load_scene', 'load_ssp', 'margins', 'measure_run', 'modes', 'motions', 'motor_loads', 'ode', 'part', 'plan_motion', 'reference_motion', 'run', 'run_variants', 'second_order', 'shapers', 'simulate', 'slave', 'start_gains', 'study_effects', 'sweep', 'tune', 'variable']
+__all__ = ['AlgebraicLoopError', 'BuildError', 'EquilibriumError', 'Error', 'FmuFileError', 'FrequencyResponse', 'InputError', 'LoopWarning', 'Metric', 'MissingCompilerError', 'Motor', 'ResultsError', 'Run', 'RunMetrics', 'RunWarning', 'Scene', 'SceneError', 'SceneWarning', 'Selection', 'SlaveError', 'SlaveVariable', 'TrajectoryError', 'WiringError', '__version__', 'build', 'compare', 'control', 'controller', 'dae', 'display', 'disturbances', 'event', 'export_slaves', 'export_ssp', 'filters', 'frequency_response', 'identify', 'imperfections', 'lagrangian', 'linearize', 'link_stresses', 'load_scene', 'load_ssp', 'margins', 'measure_run', 'modes', 'motions', 'motor_loads', 'ode', 'part', 'plan_motion', 'propose_motions', 'reference_motion', 'run', 'run_variants', 'second_order', 'shapers', 'simulate', 'slave', 'start_gains', 'study_effects', 'sweep', 'tune', 'variable']
 
 __version__: str

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     import control
 
     from flexfmu.cosim.design.gains.tuner import TuneResult
+    from flexfmu.cosim.design.identification.experiments import ProposedMotions
     from flexfmu.cosim.design.identification.result import Identification
     from flexfmu.cosim.design.margins.scene_margins import MarginsResult
     from flexfmu.cosim.design.plans.planner import PlanResult
@@ -337,6 +338,57 @@ def identify(
     if out is not None:
         found.write(out)
     return found
+
+
+def propose_motions(
+    scene: SceneSource,
+    free: Iterable[str] | Mapping[str, float | tuple[float, float]],
+    *,
+    signals: Sequence[str] = ("joint1.torque", "joint2.torque"),
+    noise: float = 0.01,
+    sample_time: float = 1e-3,
+    sensors: Collection[str] = ("delay", "offset"),
+    criterion: Literal["D", "A"] = "D",
+    progress: Callable[[str, float | None], None] | None = None,
+) -> ProposedMotions:
+    """Which motions of a scene's families would determine parameters best, within its limits.
+
+        found = flexfmu.propose_motions("robot.toml", ["payload.mass", "damping.ratio"])
+        found.best.errors["payload.mass"], scene.replace(found.best.changes)
+
+    Calls `flexfmu.cosim.design.identification.experiments.propose_motions`.
+
+    Args:
+        scene: a scene with path and profile that motion drives, its path, or the name of a shipped scene.
+        free, sensors: as for `identify`.
+        signals: what will be measured.
+        noise: standard deviation of white noise, relative to each signal's largest value in the scene's own motion.
+        sample_time: of the log [s].
+        criterion: determinant (``"D"``) or trace (``"A"``) of the parameters' relative covariance.
+        progress: function that is called with what is being done, and the finished fraction.
+
+    Returns:
+        All motions, those within the limits first, with the standard errors to be expected.
+
+    Raises:
+        InputError: a key or signal doesn't exist, or the scene has no path and profile.
+        SceneError: the scene doesn't exist, or a value is out of range.
+        BuildError: the FMU can't be built.
+    """
+    from flexfmu.cosim.design.identification import experiments
+    from flexfmu.cosim.design.identification.study import free_parameters
+
+    base, parameters = free_parameters(resolved(as_scene(scene)), free, {})
+    return experiments.propose_motions(
+        base,
+        parameters,
+        signals=signals,
+        noise=noise,
+        sample_time=sample_time,
+        sensors=sensors,
+        criterion=criterion,
+        show=progress or (lambda text, fraction: None),
+    )
 
 
 def build(

@@ -208,20 +208,7 @@ def identify_scene(
         ResultsError: a simulation failed.
     """
     known = scene_values(scene)
-    names, base, parameters = _chosen(scene, free, priors or {}), scene, list[FreeParameter]()
-    changes = {known[name].key: start for name, start, *_ in names if start is not None}
-    base = scene.replace(changes) if changes else scene
-    show("building the robot", None)
-    description = {each.name: each for each in open_fmu(build_scene(base).path).description.modelVariables}
-    for name, start, low, high, prior in names:
-        if (variable := description.get(name)) is None:
-            raise InputError(
-                f"{known[name].key} has no influence on scene {scene.name}: give the effect that it belongs to a value, or leave it out"
-            )
-        least = -math.inf if variable.min is None else float(variable.min)
-        most = math.inf if variable.max is None else float(variable.max)
-        first = scene_values(base)[name].value if start is None else start
-        parameters.append(FreeParameter(name, variable.unit or "1", first, max(low, least), min(high, most), prior))
+    base, parameters = free_parameters(scene, free, priors or {}, show)
     if overlap := next(
         (key for each in logs for key in each.changes if _short(key) in {p.name for p in parameters}), None
     ):
@@ -250,6 +237,28 @@ def identify_scene(
     return replace(
         found, estimates=keyed, scene=scene_with_parameters(base, values), changes=_whole_keys(base, values, keys)
     )
+
+
+def free_parameters(
+    scene: Scene, free: Free, priors: Mapping[str, tuple[float, float]], show: ShowProgress = quiet
+) -> tuple[Scene, list[FreeParameter]]:
+    """The scene with the first values, and the parameters to be estimated; arguments and errors as for `identify_scene`."""
+    known = scene_values(scene)
+    names, base, parameters = _chosen(scene, free, priors), scene, list[FreeParameter]()
+    changes = {known[name].key: start for name, start, *_ in names if start is not None}
+    base = scene.replace(changes) if changes else scene
+    show("building the robot", None)
+    description = {each.name: each for each in open_fmu(build_scene(base).path).description.modelVariables}
+    for name, start, low, high, prior in names:
+        if (variable := description.get(name)) is None:
+            raise InputError(
+                f"{known[name].key} has no influence on scene {scene.name}: give the effect that it belongs to a value, or leave it out"
+            )
+        least = -math.inf if variable.min is None else float(variable.min)
+        most = math.inf if variable.max is None else float(variable.max)
+        first = scene_values(base)[name].value if start is None else start
+        parameters.append(FreeParameter(name, variable.unit or "1", first, max(low, least), min(high, most), prior))
+    return base, parameters
 
 
 def identify_fmu(

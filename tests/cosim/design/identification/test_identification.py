@@ -208,6 +208,21 @@ def test_a_payload_is_found_from_torques(log: Path, tmp_path: Path) -> None:
     assert "payload.mass = 5." in repr(found)
 
 
+@pytest.mark.slow
+def test_proposed_motions_have_the_errors_of_their_logs(log: Path, tmp_path: Path) -> None:
+    """Those of the scene's own motion are those that a log of it gives; the best is at least as good, and its scene runs."""
+    found = flexfmu.identify("barnard2012-6kg", log, ["payload.mass=5.5"])
+    proposed = flexfmu.propose_motions("barnard2012-6kg", ["payload.mass=5.5"])
+    error = found.estimates[0].standard_error
+    assert proposed.own.errors["payload.mass"] == pytest.approx(error, rel=0.25)
+    assert proposed.best.is_allowed
+    assert proposed.best.figure <= proposed.own.figure
+    run = flexfmu.run(flexfmu.load_scene("barnard2012-6kg").replace(dict(proposed.best.changes)))
+    assert run.metrics.peak_torque_1.value == pytest.approx(proposed.best.torque, rel=1e-3) or (
+        run.metrics.peak_torque_2.value == pytest.approx(proposed.best.torque, rel=1e-3)
+    )
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
