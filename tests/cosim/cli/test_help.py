@@ -36,7 +36,7 @@ def test_every_option_and_argument_names_what_it_takes_and_its_default() -> None
         assert record is not None
         assert record[1]
         if option.param_type_name == "argument":
-            assert re.fullmatch(r"(SCENE|RUN|FILE\.\w+)(\.\.\.)? <[\w\[\]]+>", record[0])
+            assert re.fullmatch(r"(SCENE|RUN|(FILE|LOG)\.\w+)(\.\.\.)? <[\w\[\]]+>", record[0])
             continue
         assert option.name == "help" or "default:" in record[1].lower(), f"{name} {option.opts[0]}"
         if not option.is_flag:
