@@ -7,7 +7,7 @@ noise that is coloured (autoregressive, poles drawn), sensors that are 2 ms late
 estimated, from first values that are up to 20 % off:
 
 - ``angles``: measured angles drive the model, torques are compared;
-- ``torques``: torques drive the model, with friction and motor inertia; angles and the end effector's acceleration are compared;
+- ``torques``: exact torques, as commanded, drive the model, with friction and motor inertia; angles and the end effector's acceleration are compared;
 - ``mode``: as ``angles`` with a light payload, and a model that lacks a mode: the bending of the distal links.
 
 Motor inertia and viscous friction add to the motors' torques what the closed form says, since motors move as prescribed.
@@ -94,7 +94,7 @@ def case(number: int, kind: str) -> dict[str, Any]:
             exact = motion.joints.evaluate(np.maximum(instants - late, 0.0), 0)[0][:, j]
             columns[f"joint{j + 1}.position"] = bit * np.round(exact / bit)
             values = torque[:, j] if kind == "torques" else delayed(instants, torque[:, j], DELAY)
-            noise = coloured(instants.size, NOISE["torque"] * abs(torque).max(), rng)
+            noise = 0.0 if kind == "torques" else coloured(instants.size, NOISE["torque"] * abs(torque).max(), rng)
             columns[f"joint{j + 1}.torque"] = values + noise
             if kind == "torques":
                 values = delayed(instants, found.acceleration[:, j], DELAY)

@@ -47,6 +47,9 @@ UNKNOWN = 1.0
 SHARED = 0.3
 """Part of a direction that counts among what can't be told apart."""
 
+BLOCKS = 8
+"""Parts of the logs of which each is left out once."""
+
 NUISANCES = ("delay", "offset", "gain")
 """What may be unknown of sensors."""
 
@@ -327,6 +330,26 @@ class Problem:
         variances = np.maximum(np.diag(own), 1e-300)
         factors = np.sqrt(np.maximum(np.diag(robust) / variances, 1.0)) * self.sizes
         return own * np.outer(factors, factors)
+
+    def jackknife(self, found: Solution) -> RealArray:
+        """Standard errors of all unknowns from fits without one of `BLOCKS` parts of the logs each, to first order.
+
+        They contain what a wrong model does to the estimates, as far as that differs from part to part (B. Efron, *The Jackknife, the
+        Bootstrap and Other Resampling Plans*, 1982, chapter 3).
+        """
+        scaled, begin = found.jacobian * self.sizes, 0
+        block = np.zeros(found.white.size, dtype=int)
+        for row in self.rows:
+            size = row.channel.time.size
+            block[begin : begin + size] = np.arange(size) * BLOCKS // size
+            begin += size
+        block[begin:] = -1  # what is known beforehand is in all
+        whole, shifts = scaled.T @ scaled, list[RealArray]()
+        for number in range(BLOCKS):
+            part = scaled[block == number]
+            rest = np.linalg.pinv(whole - part.T @ part, hermitian=True)
+            shifts.append(rest @ (part.T @ found.white[block == number]))
+        return np.asarray(np.sqrt((BLOCKS - 1.0) * np.mean(np.square(shifts), axis=0)) * self.sizes)
 
     def first_noises(self, unknowns: RealArray) -> list[ColouredNoise]:
         """White noise of a tenth of each signal's own deviation, in place of what isn't known yet."""

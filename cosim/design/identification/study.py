@@ -13,7 +13,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from flexfmu.cosim.design.identification.estimate import NUISANCES, FreeParameter, Problem, Solution, undetermined
+from flexfmu.cosim.design.identification.estimate import (
+    BLOCKS,
+    NUISANCES,
+    FreeParameter,
+    Problem,
+    Solution,
+    undetermined,
+)
 from flexfmu.cosim.design.identification.measurements import Channel, Experiment, fmu_experiment, scene_experiment
 from flexfmu.cosim.design.identification.noise import ColouredNoise, independence, whiteness
 from flexfmu.cosim.design.identification.result import (
@@ -593,12 +600,22 @@ class _Study:
 
     def result(self, solved: _Solved, explanations: Sequence[Explanation]) -> Identification:
         """The values with their intervals, and what there is to say."""
+        from scipy.special import stdtrit
+
         problem, solution, count = solved.problem, solved.solution, len(solved.problem.free)
         self._show("intervals", None)
         intervals, profiled = problem.intervals(solution)
         errors, signals = np.sqrt(np.diag(solution.covariance)), self._signals(solved)
         messages = [*self._messages(solved, signals, explanations)]
-        best = explanations[0] if explanations and not all(each.is_explained for each in signals) else None
+        is_wrong = not all(each.is_explained for each in signals)
+        best = explanations[0] if explanations and is_wrong else None
+        if is_wrong:
+            # what a wrong model does to the estimates differs from part to part of the logs
+            apart = problem.jackknife(solution)
+            errors = np.maximum(errors, apart)
+            widths = float(stdtrit(BLOCKS - 1, 0.975)) * apart
+            centres = zip(intervals, solution.unknowns.tolist(), widths.tolist(), strict=True)
+            intervals = [(min(low, x - width), max(high, x + width)) for (low, high), x, width in centres]
         estimates, free = list[Estimated](), [each.name for each in problem.free]
         for each in self._parameters:
             if each.name in solved.kept:
@@ -646,7 +663,8 @@ class _Study:
             )
             for j, name in enumerate(problem.nuisances, count)
         ]
-        covariance = solution.covariance[:count, :count]
+        wider = errors / np.sqrt(np.diag(solution.covariance))
+        covariance = (solution.covariance * np.outer(wider, wider))[:count, :count]
         return Identification(
             self._name,
             tuple(estimates),
@@ -675,7 +693,7 @@ class _Study:
             best = explanations[0]
             yield f"{best.label[0].upper()}{best.label[1:]} would explain {100.0 * best.share:.3g} % of them; the intervals contain the estimates with it."
         elif unlike:
-            yield "No effect that was tried would explain them; the intervals hold for noise alone."
+            yield "No effect that was tried would explain them; the intervals are as wide as the estimates from parts of the logs differ."
         outliers = int(np.count_nonzero(np.abs(solved.solution.white) > EXTREME))
         if outliers and self._loss == "linear":
             yield f"{outliers} residuals exceed {EXTREME:g} standard deviations: a robust loss gives them less weight."
