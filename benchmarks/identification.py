@@ -34,8 +34,8 @@ from flexfmu.model.finite_elements.motion import simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 
 STEP, DELAY, COUNTS, ELEMENTS = 1e-3, 2e-3, 2**17, 3
-NOISE = {"torque": 0.01, "acceleration": 0.01}
-"""Standard deviation of the noise, relative to the largest value."""
+NOISE = {"torque": 0.01, "acceleration": 0.01, "mode": 0.001}
+"""Standard deviation of the noise, relative to the largest value; of a missing mode less, which it would hide."""
 
 KEYS = {
     "payload.mass": "payload.mass",
@@ -94,7 +94,11 @@ def case(number: int, kind: str) -> dict[str, Any]:
             exact = motion.joints.evaluate(np.maximum(instants - late, 0.0), 0)[0][:, j]
             columns[f"joint{j + 1}.position"] = bit * np.round(exact / bit)
             values = torque[:, j] if kind == "torques" else delayed(instants, torque[:, j], DELAY)
-            noise = 0.0 if kind == "torques" else coloured(instants.size, NOISE["torque"] * abs(torque).max(), rng)
+            noise = (
+                0.0
+                if kind == "torques"
+                else coloured(instants.size, NOISE["mode" if kind == "mode" else "torque"] * abs(torque).max(), rng)
+            )
             columns[f"joint{j + 1}.torque"] = values + noise
             if kind == "torques":
                 values = delayed(instants, found.acceleration[:, j], DELAY)

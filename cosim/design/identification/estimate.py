@@ -148,8 +148,8 @@ class Problem:
         self.runs = 0
         starts, names, sizes, places = list[float](), list[str](), list[float](), dict[str, int]()
 
-        def place(what: str, name: str, start: float, size: float) -> int | None:
-            if what not in nuisances:
+        def place(what: str, unknown: Collection[str], name: str, start: float, size: float) -> int | None:
+            if what not in unknown:
                 return None
             if name not in places:
                 places[name] = len(self.free) + len(starts)
@@ -160,6 +160,7 @@ class Problem:
 
         rows = list[ResidualRow]()
         for number, each in enumerate(self.experiments):
+            unknown = () if each.is_table else nuisances
             for channel in each.channels:
                 covered = _covered(channel, delays[number], each.stop_time)
                 of = f"{channel.name} of {each.name}"
@@ -167,9 +168,11 @@ class Problem:
                     ResidualRow(
                         number,
                         covered,
-                        place("delay", f"delay of {channel.kind}s of {each.name}", delays[number], channel.step),
-                        place("offset", f"offset of {of}", 0.0, float(np.std(channel.values)) or 1.0),
-                        place("gain", f"gain of {channel.name}", 1.0, 1.0),
+                        place(
+                            "delay", unknown, f"delay of {channel.kind}s of {each.name}", delays[number], channel.step
+                        ),
+                        place("offset", unknown, f"offset of {of}", 0.0, float(np.std(channel.values)) or 1.0),
+                        place("gain", unknown, f"gain of {channel.name}", 1.0, 1.0),
                     )
                 )
         self.rows, self._delays = tuple(rows), tuple(delays)

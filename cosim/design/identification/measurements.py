@@ -7,6 +7,7 @@ distance of their noise, which differences of sixth order show: those of a smoot
 
 from __future__ import annotations
 
+import csv
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -29,14 +30,19 @@ from flexfmu.cosim.engine.master.simulator import isolation, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.measured import LEAST, Log, Mapped, TimedValues, estimate_delay, read_log
 from flexfmu.cosim.engine.results import Column, Recording, Selection
+from flexfmu.cosim.engine.showing import UNITS
 from flexfmu.cosim.engine.slave import Indices, RealArray, Slave, SlaveVariable
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_loop import Loop
 from flexfmu.cosim.many.prepared_scene import PreparedScene
-from flexfmu.cosim.many.variants import NotTogetherError, SideBySide
+from flexfmu.cosim.many.variants import NotTogetherError, SideBySide, run_variants
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition
+from flexfmu.cosim.metrics.metrics import measuring
 from flexfmu.cosim.metrics.stress import strain_gains
+from flexfmu.errors import read_text
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.model.scene.assembly import end_effector
+from flexfmu.model.scene.keys import parse_value
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.table import COLUMNS, smoothed
@@ -137,6 +143,7 @@ class Experiment:
         scene: the scene that is simulated; None for an FMU.
         motion: instants (N,) [s] → what residuals may depend on (N, k): the joints' velocities, their signs and accelerations; None where the
             motion isn't known before.
+        is_table: whether rows are runs, not instants of sensors.
     """
 
     name: str
@@ -146,6 +153,7 @@ class Experiment:
     has_clock: bool
     scene: Scene | None = None
     motion: Callable[[RealArray], RealArray] | None = None
+    is_table: bool = False
 
 
 class LoggedSignals:
@@ -621,3 +629,68 @@ def fmu_experiment(
         end - start,
         True,
     )
+
+
+def is_table(log: Log) -> bool:
+    """Whether a log is a table of metrics: a CSV file without a time, whose columns are metrics and keys of the scene."""
+    if not isinstance(log, str | Path) or Path(log).suffix != ".csv" or not Path(log).is_file():
+        return False
+    header = read_text(Path(log)).lstrip().partition("\n")[0].split(",")
+    names = [each.strip().strip('"').partition(" ")[0] for each in header]
+    return "time" not in names and "t" not in names and any(each in ALL_METRICS for each in names)
+
+
+def table_experiment(scene: Scene, path: Path, name: str) -> Experiment:
+    """Return the experiment of a table of metrics: a row for each run, keys of the scene and metrics, with their units in brackets, as columns.
+
+    The rows' numbers take the place of the time.
+
+    Args:
+        scene: the scene.
+        path: of the CSV file.
+        name: of the table, for messages.
+
+    Raises:
+        InputError: a cell isn't a value, or there are too few rows.
+    """
+    header, *rows = csv.reader(
+        line for line in read_text(path).splitlines() if line.strip() and not line.startswith("#")
+    )
+    columns = [re.fullmatch(r"\s*(\S+?)\s*(?:\[(.*)\])?\s*", each) for each in header]
+    if not all(columns) or any(len(row) != len(header) for row in rows):
+        raise InputError(f"{name}: every row needs a cell for each of the columns {', '.join(header)}")
+    names = [(each[1], each[2]) for each in columns if each is not None]
+    changes = [
+        {key: parse_value(cell, key) for (key, _), cell in zip(names, row, strict=True) if key not in ALL_METRICS}
+        for row in rows
+    ]
+    place, channels = np.arange(len(rows), dtype=float), list[Channel]()
+    for column, (metric, unit) in enumerate(names):
+        if metric not in ALL_METRICS:
+            continue
+        try:
+            values = np.array([float(row[column]) for row in rows]) * (UNITS[unit][1] if unit else 1.0)
+        except (ValueError, KeyError) as error:
+            raise InputError(
+                f"{name}: column {header[column]!r} has {error} where a number or a known unit is needed"
+            ) from None
+        pieces = tuple(slice(k, k + 1) for k in range(len(rows)))
+        channels.append(Channel(metric, definition(metric).unit, {metric: 1.0}, place, values, pieces, 1.0))
+    measured = [each.name for each in channels]
+
+    def simulate(variants: Sequence[Mapping[str, float]]) -> list[Recording]:
+        found = []
+        for variant in variants:
+            planned = {f"mechanism.{key}": value for key, value in variant.items() if key in PLANNED_WITH}
+            robot = scene.replace(planned) if planned else scene
+            rest = {key: value for key, value in variant.items() if key not in PLANNED_WITH}
+            results = run_variants(robot, [{**row, **rest} for row in changes], measuring(measured))
+            if failed := next((each for each in results if each.error is not None), None):
+                raise ResultsError(f"{name}: {failed.changes} can't be simulated: {failed.error}")
+            values = {
+                key: np.array([each.value[key] for each in results if each.value], dtype=float) for key in measured
+            }
+            found.append(Recording(place, {key: Column(definition(key).unit, each) for key, each in values.items()}))
+        return found
+
+    return Experiment(name, tuple(channels), simulate, 2.0 * len(rows), True, scene, is_table=True)

@@ -21,7 +21,14 @@ from flexfmu.cosim.design.identification.estimate import (
     Solution,
     undetermined,
 )
-from flexfmu.cosim.design.identification.measurements import Channel, Experiment, fmu_experiment, scene_experiment
+from flexfmu.cosim.design.identification.measurements import (
+    Channel,
+    Experiment,
+    fmu_experiment,
+    is_table,
+    scene_experiment,
+    table_experiment,
+)
 from flexfmu.cosim.design.identification.noise import ColouredNoise, independence, whiteness
 from flexfmu.cosim.design.identification.result import (
     UNLIKELY,
@@ -226,6 +233,9 @@ def identify_scene(
             found = []
             for each in logs:
                 robot = base.replace({**each.changes, **extra}) if each.changes or extra else base
+                if is_table(each.log):
+                    found.append(table_experiment(robot, Path(str(each.log)), each.name))
+                    continue
                 path = build_scene(robot).path
                 found.append(
                     scene_experiment(
