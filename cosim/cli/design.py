@@ -326,7 +326,7 @@ def identify(
         found.write(out)
     where = [f"files: {each}" for each in (output, out) if each is not None]
     console.print_result(json, found.as_data(), *map(as_terminal_table, found.tables()), *found.messages, *where)
-    return 0 if all(each.is_explained for each in found.signals) else console.FAILURE
+    return 0 if found.is_explained else console.FAILURE
 
 
 def _design(

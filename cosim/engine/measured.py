@@ -129,6 +129,8 @@ def read_log(log: Log, mapping: Mapping[str, Mapped], signals: Mapping[str, str]
     found = table_of(Path(log)) if isinstance(log, str | Path) else _in_memory(log)
     table, units = found.table, found.units
     meaning = _meaning(source, table, mapping, signals)
+    if twice := next((name for name in meaning if name in found.repeated), None):
+        raise InputError(f"{source}: column {twice!r} is there twice; give one of them another name")
     # the time first, which every signal needs
     (time_name,) = (name for name, each in meaning.items() if each.signal == "time")
     time = _converted(table, units, time_name, meaning[time_name])
@@ -160,6 +162,7 @@ class LogTable:
     units: dict[str, str] = field(default_factory=dict)
     places: Sequence[int] = range(1, sys.maxsize)
     odd: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
+    repeated: frozenset[str] = frozenset()
 
 
 def _in_memory(log: Recording | pandas.DataFrame) -> LogTable:
@@ -215,7 +218,8 @@ def table_of(path: Path) -> LogTable:
     for i, j in np.argwhere(~np.isfinite(table)):
         if cell := rows[i][j].strip():
             odd.setdefault(names[j], []).append((places[i], cell))
-    return LogTable(dict(zip(names, table.T, strict=True)), units, places, odd)
+    repeated = frozenset(name for name in names if name and names.count(name) > 1)
+    return LogTable(dict(zip(names, table.T, strict=True)), units, places, odd, repeated)
 
 
 def _number_in(cell: str) -> float:

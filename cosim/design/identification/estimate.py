@@ -47,6 +47,9 @@ UNKNOWN = 1.0
 SHARED = 0.3
 """Part of a direction that counts among what can't be told apart."""
 
+OUTLIER = 6.0
+"""Residual in terms of their median from which on it is an outlier for a robust loss: 4 standard deviations."""
+
 BLOCKS = 8
 """Parts of the logs of which each is left out once."""
 
@@ -303,6 +306,10 @@ class Problem:
         shown = tuple(self.simulated(row, recordings[row.experiment], unknowns)[0] for row in self.rows)
         residuals = tuple(row.channel.values - each for row, each in zip(self.rows, shown, strict=True))
         white = np.concatenate([self.whitened(residuals, noises), self.priors(unknowns)[0]])
+        if self._loss != "linear":
+            # the weights that the loss gives
+            weights = (1.0 + white**2) ** -0.25
+            white, jacobian = white * weights, jacobian * weights[:, None]
         freedom = max(self.samples - unknowns.size - sum(each.order for each in noises), 1)
         covariance = self._covariance(white, jacobian, freedom)
         return Solution(unknowns, residuals, shown, tuple(noises), white, jacobian, covariance, freedom)
@@ -364,7 +371,12 @@ class Problem:
 
     def noises(self, solution: Solution) -> list[ColouredNoise]:
         """Models of the noise from the residuals of a fit."""
-        pairs = zip(self.rows, solution.residuals, strict=True)
+        taken = solution.residuals
+        if self._loss != "linear":
+            # outliers aren't noise
+            sizes = [OUTLIER * float(np.median(np.abs(each))) for each in taken]
+            taken = tuple(np.clip(each, -size, size) for each, size in zip(taken, sizes, strict=True))
+        pairs = zip(self.rows, taken, strict=True)
         return [
             fitted_noise(each, row.channel.pieces, row.channel.step, EXACT * (float(np.ptp(row.channel.values)) or 1.0))
             for row, each in pairs

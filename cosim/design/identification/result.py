@@ -156,6 +156,11 @@ class Identification(Rows):
     changes: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def is_explained(self) -> bool:
+        """Whether nothing shows that the model lacks something."""
+        return not self.explanations and all(each.is_explained for each in self.signals)
+
+    @property
     def values(self) -> dict[str, float]:
         """Name of a parameter → value."""
         return {each.name: each.value for each in self.estimates}

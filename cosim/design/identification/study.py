@@ -223,31 +223,35 @@ def identify_scene(
     """
     known = scene_values(scene)
     base, parameters = free_parameters(scene, free, priors or {}, show)
-    if overlap := next(
-        (key for each in logs for key in each.changes if _short(key) in {p.name for p in parameters}), None
-    ):
-        raise InputError(f"{overlap} is both free and given for a log: leave out one of them")
     with TemporaryDirectory() as folder:
 
         def prepared(extra: Mapping[str, Any]) -> list[Experiment]:
             found = []
             for each in logs:
                 robot = base.replace({**each.changes, **extra}) if each.changes or extra else base
+                # parameters of the FMU need no other one
+                own = {key: value for key, value in each.changes.items() if _short(key) not in known}
+                built = base.replace({**own, **extra}) if own or extra else base
                 if is_table(each.log):
                     found.append(table_experiment(robot, Path(str(each.log)), each.name))
                     continue
-                path = build_scene(robot).path
+                path = build_scene(built).path
+                experiment = scene_experiment(
+                    robot, path, each.log, mapping or {}, folder, segments, name=each.name, strict=strict
+                )
+                # what is known of one log isn't free there
+                fixed = {
+                    p.name: scene_values(robot)[p.name].value for p in parameters if p.name in map(_short, each.changes)
+                }
                 found.append(
-                    scene_experiment(
-                        robot, path, each.log, mapping or {}, folder, segments, name=each.name, strict=strict
-                    )
+                    replace(experiment, simulate=partial(_with_fixed, experiment, fixed)) if fixed else experiment
                 )
             return found
 
         study = _Study(scene.name, prepared({}), parameters, sensors, loss, show)
         solved = study.solved(starts, seed)
         explanations = study.explanations(solved, base, prepared, explain)
-    found = study.result(solved, explanations)
+    found = study.result(solved, explanations, tried=bool(explain))
     values = {p.name: found.values[p.name] for p in parameters}
     keys = {known[name].key: value for name, value in values.items()}
     keyed = tuple(replace(each, key=known[each.name].key) for each in found.estimates)
@@ -560,7 +564,7 @@ class _Study:
             shifts = -factor * problem.sizes * (inverse @ change)
             named = {each.name: float(x) for each, x in zip(problem.free, shifts, strict=False)}
             found.append(Explanation(label, changes, share, probability, named))
-        return tuple(sorted((each for each in found if each.probability < 0.01), key=lambda each: -each.share))
+        return tuple(sorted((each for each in found if each.probability < UNLIKELY), key=lambda each: -each.share))
 
     def _signals(self, solved: _Solved) -> tuple[FittedSignal, ...]:
         """The measured signals beside the simulated ones, and what their residuals tell."""
@@ -608,17 +612,21 @@ class _Study:
             )
         return tuple(found)
 
-    def result(self, solved: _Solved, explanations: Sequence[Explanation]) -> Identification:
-        """The values with their intervals, and what there is to say."""
+    def result(self, solved: _Solved, explanations: Sequence[Explanation], *, tried: bool = True) -> Identification:
+        """The values with their intervals, and what there is to say; ``tried`` is whether missing effects were looked for."""
         from scipy.special import stdtrit
 
         problem, solution, count = solved.problem, solved.solution, len(solved.problem.free)
         self._show("intervals", None)
         intervals, profiled = problem.intervals(solution)
         errors, signals = np.sqrt(np.diag(solution.covariance)), self._signals(solved)
+        is_wrong = bool(explanations) or not all(each.is_explained for each in signals)
         messages = [*self._messages(solved, signals, explanations)]
-        is_wrong = not all(each.is_explained for each in signals)
-        best = explanations[0] if explanations and is_wrong else None
+        if not tried and not is_wrong:
+            messages.append(
+                "Effects that the scene lacks weren't tried on the residuals: --explain (explain=True) does."
+            )
+        best = explanations[0] if explanations else None
         if is_wrong:
             # what a wrong model does to the estimates differs from part to part of the logs
             apart = problem.jackknife(solution)
@@ -699,10 +707,13 @@ class _Study:
         for signal in unlike:
             rings = "" if signal.ringing is None else f", and ring at {signal.ringing:.4g} Hz"
             yield f"The residuals of {signal.name} of {signal.log} depend on the motion{rings}: the model lacks something."
-        if unlike and explanations:
+        if explanations:
             best = explanations[0]
-            yield f"{best.label[0].upper()}{best.label[1:]} would explain {100.0 * best.share:.3g} % of them; the intervals contain the estimates with it."
-        elif unlike:
+            yield (
+                f"The scene lacks an effect: {best.label} would explain {100.0 * best.share:.3g} % of the whitened residuals, which isn't "
+                "chance; the intervals contain the estimates with it."
+            )
+        elif unlike and self._experiments[0].scene is not None:
             yield "No effect that was tried would explain them; the intervals are as wide as the estimates from parts of the logs differ."
         outliers = int(np.count_nonzero(np.abs(solved.solution.white) > EXTREME))
         if outliers and self._loss == "linear":
@@ -713,7 +724,7 @@ def _with_fixed(
     experiment: Experiment, fixed: Mapping[str, float], variants: Sequence[Mapping[str, float]]
 ) -> list[Recording]:
     """Recordings of variants that have some parameters in common."""
-    return experiment.simulate([{**fixed, **variant} for variant in variants])
+    return experiment.simulate([{**variant, **fixed} for variant in variants])
 
 
 def _unit_of(name: str, problem: Problem) -> str:
@@ -768,11 +779,14 @@ def _check_likeness(experiment: Experiment, run: Recording, delay: float, name: 
     """
     for each in experiment.channels:
         simulated, _ = each.simulated(run, each.time - delay)
-        spreads = [float(np.std(values)) for values in (each.values, simulated)]
+        # single outliers don't count
+        ends = np.quantile(each.values, [0.02, 0.98])
+        values = np.clip(each.values, *(ends + 0.5 * np.ptp(ends) * np.array([-1.0, 1.0])))
+        spreads = [float(np.std(part)) for part in (values, simulated)]
         if min(spreads) <= 1e-12 * max(*spreads, 1e-300):
             continue
         ratio = spreads[0] / spreads[1]
-        correlation = float(np.corrcoef(each.values, simulated)[0, 1])
+        correlation = float(np.corrcoef(values, simulated)[0, 1])
         if not 1.0 / UNLIKE < ratio < UNLIKE and abs(correlation) > HARDLY:
             raise InputError(
                 f"{experiment.name}: {each.name} is {ratio:.3g} times as large as simulated: is its unit {each.unit or '1'}? Map it with its "
@@ -782,7 +796,7 @@ def _check_likeness(experiment: Experiment, run: Recording, delay: float, name: 
             sign = " with the opposite sign" if correlation < -HARDLY else ""
             raise InputError(
                 f"{experiment.name}: {each.name} has a correlation of {correlation:.2g} with that of {name}: is it a log of this robot and this "
-                f"motion? Check columns and units{sign and ', and the sign'}"
+                f"motion? Check columns, units and first values{sign and ', and the sign'}"
             )
 
 

@@ -199,7 +199,7 @@ def test_a_payload_is_found_from_torques(log: Path, tmp_path: Path) -> None:
     assert mass.value == pytest.approx(5.5, rel=5e-3)
     assert mass.interval[0] < 5.5 < mass.interval[1]
     assert found.sensors[0].value == pytest.approx(3e-3, abs=2e-4)
-    assert found.messages == ()
+    assert found.is_explained
     assert found.scene is not None
     assert found.scene.payload.mass == mass.value
     assert found.band("payload.mass") == mass.interval
@@ -238,8 +238,9 @@ def test_proposed_motions_have_the_errors_of_their_logs(log: Path, tmp_path: Pat
             "times as large",
         ),
         (lambda lines: [lines[0], *(f"{a},{c},{b}" for a, b, c in (x.split(",") for x in lines[1:]))], "of this robot"),
+        (lambda lines: [lines[0].replace("joint2", "joint1"), *lines[1:]], "there twice"),
     ],
-    ids=["columns", "unsorted", "short", "unit", "scale", "robot"],
+    ids=["columns", "unsorted", "short", "unit", "scale", "robot", "twice"],
 )
 def test_a_log_that_cannot_be_used_is_one_sentence(log: Path, tmp_path: Path, change: object, words: str) -> None:
     """It names what is wrong, and what to do."""
