@@ -263,7 +263,7 @@ def identify(
         explain: Try effects that the scene lacks on the residuals; each needs an FMU. Default: where they aren't noise.
         step (SECONDS): Communication step with an FMU. Default: its own.
         strict: Refuse logs with values that are no finite numbers (nan, inf). Default: leave them out and tell the line.
-        design: Propose a motion instead.
+        design: Propose a motion instead. Default: estimate from logs.
         criterion (NAME): Of --design: D, the determinant of the relative covariance, or A, its trace.
         signal (NAME): Of --design: what will be measured; may be repeated. Default: both torques.
         noise (RELATIVE): Of --design: standard deviation of noise relative to each signal's largest value.
