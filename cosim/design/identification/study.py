@@ -253,11 +253,8 @@ def identify_scene(
         explanations = study.explanations(solved, base, prepared, explain)
     found = study.result(solved, explanations, tried=bool(explain))
     values = {p.name: found.values[p.name] for p in parameters}
-    keys = {known[name].key: value for name, value in values.items()}
     keyed = tuple(replace(each, key=known[each.name].key) for each in found.estimates)
-    return replace(
-        found, estimates=keyed, scene=scene_with_parameters(base, values), changes=_whole_keys(base, values, keys)
-    )
+    return replace(found, estimates=keyed, scene=scene_with_parameters(base, values), changes=_whole_keys(base, values))
 
 
 def free_parameters(
@@ -329,7 +326,7 @@ def identify_fmu(
         parameters.append(
             FreeParameter(name, variable.unit or "1", min(max(first, bounds[0]), bounds[1]), *bounds, given.get(name))
         )
-    _check(parameters, given)
+    _check([each.name for each in parameters], given)
     if changed := next((each for each in logs if each.changes), None):
         raise InputError(f"{changed.name}: keys of a scene can't be given for an FMU")
     experiments = [
@@ -364,8 +361,6 @@ def _chosen(
             raise InputError(
                 f"{key} can't be estimated: no parameter of {scene.name} has that name; {suggestion(name, known)}"
             )
-        if name in {each[0] for each in found}:
-            raise InputError(f"{key} is free twice: name it once")
         own = known[name].value
         if start is None and not low <= own <= high:
             start = 0.5 * (low + high)
@@ -374,15 +369,16 @@ def _chosen(
                 raise InputError(f"{key} is 0 in scene {scene.name}: give a first value, {key}=0.01 for example")
             start = 0.5 * (low + high)
         found.append((name, start, low, high, given.get(name)))
-    if not found:
-        raise InputError("nothing is free: name at least one parameter, payload.mass for example")
-    if unknown := given.keys() - {each[0] for each in found}:
-        raise InputError(f"the prior of {min(unknown)} is for no free parameter: name it in --free, too")
+    _check([each[0] for each in found], given)
     return found
 
 
-def _check(parameters: Sequence[FreeParameter], priors: Mapping[str, object]) -> None:
-    names = [each.name for each in parameters]
+def _check(names: Sequence[str], priors: Mapping[str, object]) -> None:
+    """Check the names of free parameters.
+
+    Raises:
+        InputError: there is none, one is there twice, or a prior is for none of them.
+    """
     if not names:
         raise InputError("nothing is free: name at least one parameter")
     if twice := next((name for name in names if names.count(name) > 1), None):
@@ -391,12 +387,13 @@ def _check(parameters: Sequence[FreeParameter], priors: Mapping[str, object]) ->
         raise InputError(f"the prior of {min(unknown)} is for no free parameter: name it in --free, too")
 
 
-def _whole_keys(scene: Scene, values: Mapping[str, float], keys: Mapping[str, float]) -> dict[str, Any]:
+def _whole_keys(scene: Scene, values: Mapping[str, float]) -> dict[str, Any]:
     """Key of the scene → new value; of a vector all components."""
-    found = dict[str, Any]()
-    for (name, value), key in zip(values.items(), keys, strict=True):
+    known, found = scene_values(scene), dict[str, Any]()
+    for name, value in values.items():
+        key = known[name].key
         if name.endswith((".x", ".y")):
-            vector = found.setdefault(key, [scene_values(scene)[f"{name[:-1]}{axis}"].value for axis in "xy"])
+            vector = found.setdefault(key, [known[f"{name[:-1]}{axis}"].value for axis in "xy"])
             vector["xy".index(name[-1])] = value
         else:
             found[key] = value
