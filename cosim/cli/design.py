@@ -53,6 +53,7 @@ def margins(
     scene: str,
     poses: Annotated[int, typer.Option(min=1)] = 5,
     payload_band: str | None = None,
+    identified: Path | None = None,
     response: Path | None = None,
     out: Path | None = None,
     settings: list[str] | None = None,
@@ -67,12 +68,15 @@ def margins(
     Args:
         poses (N): Equally spaced poses along the path, in addition to the worst ones; 1 for its end alone.
         payload_band (BAND): Payloads among which the worst one is searched, unknown to the controllers: 0.2 for 20 % to both
-            sides, or 4,8 for 4 to 8 kg. Default: the scene's alone.
+            sides, 4,8 for 4 to 8 kg, or an identified.json for its interval. Default: the scene's alone.
+        identified (FILE.json): What `flexfmu identify --out` found: margins of robots at the edge of what it leaves likely, all estimates
+            and their correlations together, unknown to the controllers. Default: the scene's robot alone.
         response (FILE): A measured response of the robot at the end of the path (.csv, .mat), in place of the model's in its band; margins
             have standard errors. Default: the model's.
         out (DIR): Folder for margins.csv, bode.png, nyquist.png and root-locus.png. Default: no files.
     """
     from flexfmu.cosim.design.gains.robustness import band_masses, parse_band
+    from flexfmu.cosim.design.identification.result import identified_robots
     from flexfmu.cosim.design.margins.scene_margins import margins_data, margins_table, scene_margins, write_margins
     from flexfmu.cosim.design.response.response import as_response
 
@@ -85,6 +89,7 @@ def margins(
             robot,
             poses=poses,
             payloads=masses,
+            robots=identified_robots(robot, identified),
             response=as_response(response),
             progress=lambda fraction: show("margins along the path", fraction),
         )
@@ -382,6 +387,7 @@ def tune(
     minimise: str = "rms_tracking_error",
     subject_to: list[str] | None = None,
     payload_band: str | None = None,
+    identified: Path | None = None,
     response: Path | None = None,
     start: str | None = None,
     method: str = "gradient",
@@ -405,8 +411,10 @@ def tune(
         minimise (FIGURE): A metric; without a joint number the larger value of both joints: rms_tracking_error, settling_time.
         subject_to (CONDITION): FIGURE<LIMIT or FIGURE>LIMIT, in SI units or with a unit: peak_torque<80, settling_time<20ms,
             margin>6dB, phase_margin>40deg; may be repeated, or several with commas. Default: none.
-        payload_band (BAND): Payloads for which the limits hold, unknown to the controllers: 0.2 for 20 % to both sides, or
-            4,8 for 4 to 8 kg. Default: the scene's alone.
+        payload_band (BAND): Payloads for which the limits hold, unknown to the controllers: 0.2 for 20 % to both sides,
+            4,8 for 4 to 8 kg, or an identified.json for its interval. Default: the scene's alone.
+        identified (FILE.json): What `flexfmu identify --out` found: the limits also hold for robots at the edge of what it leaves likely,
+            all estimates and their correlations together, unknown to the controllers. Default: the scene's robot alone.
         response (FILE): A measured response of the robot for margins, see `flexfmu margins`. Default: the model's.
         start (KIND:HZ): Begin with gains for a bandwidth, in place of the scene's controllers: pd:10, pid:10 or cascade:10;
             feedforward stays. Default: the scene's.
@@ -422,6 +430,7 @@ def tune(
     from flexfmu.cosim.design.gains.goals import split
     from flexfmu.cosim.design.gains.robustness import parse_band
     from flexfmu.cosim.design.gains.tuner import summary, tune_scene, write_tuned, write_tuning
+    from flexfmu.cosim.design.identification.result import identified_robots
     from flexfmu.cosim.design.response.response import as_response
 
     console.check_scene_file(output)
@@ -438,6 +447,7 @@ def tune(
             minimise,
             split(subject_to or ()),
             payload_band=None if payload_band is None else parse_band(payload_band),
+            robots=identified_robots(robot, identified),
             response=as_response(response),
             method=method,
             trials=trials,
@@ -518,7 +528,7 @@ def _figures(result: TuneResult) -> Table:
     from flexfmu.cosim.reports.terminal import titled_table
 
     study, pair = result.study, (result.given.figures, result.best.figures)
-    band = "" if study.band is None else ", worst over the payloads"
+    band = ", worst over the robots" if study.robots else "" if study.band is None else ", worst over the payloads"
     table = titled_table(f"Figures{band}", "figure", "name", numbers=("given", "tuned", "limit"), stacks=True)
     goal = study.minimise
     table.add_row(goal.label, goal.name, *(goal.shown(goal.of(each)) for each in pair), "smallest")
@@ -603,6 +613,7 @@ def plan(
     duration: float | None = None,
     residual: float | None = None,
     payload_band: str | None = None,
+    identified: Path | None = None,
     stiffness_band: float | None = None,
     damping_band: float | None = None,
     limit: list[str] | None = None,
@@ -631,8 +642,10 @@ def plan(
             time.
         duration (SECONDS): Total time, for all but time. Default: the scene's.
         residual (METRES): Largest residual vibration. Default: the scene's, or 1e-6.
-        payload_band (BAND): Payloads for which the limits hold: 0.3 for 30 % to both sides, or 4,8 for 4 to 8 kg. Default: the
-            scene's, or 0.3.
+        payload_band (BAND): Payloads for which the limits hold: 0.3 for 30 % to both sides, 4,8 for 4 to 8 kg, or an identified.json
+            for its interval. Default: the scene's, or 0.3.
+        identified (FILE.json): What `flexfmu identify --out` found: bands of payload, stiffness and damping that contain its intervals.
+            Default: those of the scene.
         stiffness_band (FRACTION): Relative change of Young's modulus to both sides. Default: the scene's, or 0.
         damping_band (FRACTION): Relative change of the damping to both sides. Default: the scene's, or 0.
         limit (NAME=VALUE): A limit in SI units, torque=80, or as a multiple of the given motion's, jerk=2.5x: torque, speed,
@@ -651,6 +664,7 @@ def plan(
     import os
 
     from flexfmu.cosim.design.gains.robustness import parse_band
+    from flexfmu.cosim.design.identification.result import Identification
     from flexfmu.cosim.design.plans.assessment import file_candidate
     from flexfmu.cosim.design.plans.planned_files import summary, write_plan, write_scene
     from flexfmu.cosim.design.plans.planner import METHODS, plan_scene
@@ -663,7 +677,8 @@ def plan(
         "minimise": minimise, "duration": duration, "residual": residual, "payload_band": band,
         "stiffness_band": stiffness_band, "damping_band": damping_band, "margin": margin, "corridor": corridor, "seed": seed,
     }  # fmt: skip
-    robot = _with_wishes(robot, {key: value for key, value in wishes.items() if value is not None}, limit or [])
+    bands = {} if identified is None else Identification.read(identified).plan_bands(robot)
+    robot = _with_wishes(robot, bands | {key: value for key, value in wishes.items() if value is not None}, limit or [])
     folder = out or console.usual_folder(robot.name, settings, "-plan")
     console.prepared_folder(folder)
     journal, started = (

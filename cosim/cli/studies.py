@@ -66,8 +66,8 @@ def compare(
         delay (SECONDS): Time of an event in the measurement minus that in the simulation. Default: estimated by correlation.
         variant (NAME:KEY=VALUE): The first scene with other values, as one more run; several with commas:
             stiff:pd.kp=2e4,pd.kd=200. May be repeated. Default: none.
-        payload_band (BAND): Also run scenes with other payloads, unknown to the controllers: 0.2 for 20 % to both sides, or
-            4,8 for 4 and 8 kg. Default: skip.
+        payload_band (BAND): Also run scenes with other payloads, unknown to the controllers: 0.2 for 20 % to both sides,
+            4,8 for 4 and 8 kg, or an identified.json for its interval. Default: skip.
         strict: Refuse files with values that are no finite numbers (nan, inf). Default: leave them out and tell the line.
         out (DIR): Write comparison.html and comparison.json there. Default: nowhere.
     """
@@ -308,7 +308,7 @@ def sweep(
             sobol:1024. Default: all combinations.
         seed (N): Seed of the sample.
         cases (FILE.csv): Cases one by one: keys in the first line, a case in each other line; an empty cell leaves the scene's
-            value. Default: those of --vary.
+            value. Or an identified.json, for draws from the joint distribution of its estimates. Default: those of --vary.
         metrics (NAMES): Metrics, separated by commas; may be repeated. Default: all.
         record (SIGNAL): Keep this signal of each case, in signals/; may be repeated. Default: none.
         record_step (SECONDS): Interval of the kept signals. Default: every instant.

@@ -633,6 +633,7 @@ def margins(
     point: Mapping[str, float] | None = None,
     poses: int = 5,
     payload_band: float | tuple[float, float] | None = None,
+    identified: Identification | str | Path | None = None,
     response: FrequencyResponse | str | Path | None = None,
     **parts: Unpack[Parts],
 ) -> MarginsResult:
@@ -653,6 +654,8 @@ def margins(
         poses: number of equally spaced poses along the path, in addition to the worst ones, which are searched; 1 for its end alone.
         payload_band: payloads among which the worst one is searched too, unknown to the controllers: a fraction to both sides,
             or the lightest and the heaviest [kg].
+        identified: what `identify` found, or its ``identified.json``: margins are also those of robots at the edge of what it leaves likely,
+            all estimates and their correlations taken together, unknown to the controllers.
         response: of the robot at the end of the path, or of the model's part about the point, measured, or its file. In its band it
             stands in place of the model's, in the same loop, and margins have standard errors, ``margins.worst.gain_margin.error``.
         parts: ``controllers``, ``shapers``, ``imperfections``, ``filters``, ``disturbances`` and ``connect`` as for `run`.
@@ -672,13 +675,14 @@ def margins(
         TypeError: ``scene`` is of another type.
     """
     from flexfmu.cosim.design.gains.robustness import band_masses
+    from flexfmu.cosim.design.identification.result import identified_robots
     from flexfmu.cosim.design.margins.scene_margins import model_margins, scene_margins
     from flexfmu.cosim.design.response.response import as_response
 
     measured = as_response(response)
     if not isinstance(scene, str) and isinstance(scene, SymbolicModel | Sequence):
-        if parts or payload_band is not None:
-            raise InputError("payload_band and parts are for scenes; controllers of a model are slaves beside it")
+        if parts or payload_band is not None or identified is not None:
+            raise InputError("bands, identified and parts are for scenes; controllers of a model are slaves beside it")
         return model_margins(
             [scene] if isinstance(scene, SymbolicModel) else scene, wires(connections), point or {}, measured
         )
@@ -686,7 +690,9 @@ def margins(
         raise InputError("connections and point are for a loop around a model from equations")
     robot = resolved(with_parts(as_scene(scene), parts))
     masses = () if payload_band is None else band_masses(robot, payload_band)
-    return scene_margins(robot, poses=poses, payloads=masses, response=measured)
+    return scene_margins(
+        robot, poses=poses, payloads=masses, robots=identified_robots(robot, identified), response=measured
+    )
 
 
 def frequency_response(
@@ -902,6 +908,7 @@ def tune(
     subject_to: Sequence[str] = (),
     *,
     payload_band: float | tuple[float, float] | None = None,
+    identified: Identification | str | Path | None = None,
     response: FrequencyResponse | str | Path | None = None,
     method: str = "gradient",
     trials: int | None = None,
@@ -927,6 +934,7 @@ def tune(
         subject_to: conditions ``FIGURE < LIMIT`` or ``FIGURE > LIMIT``, in SI units or with a unit: ``settling_time < 20ms``.
         payload_band: payloads for which all metrics hold, which controllers, shapers and motion don't know: a fraction to both
             sides, or the lightest and the heaviest payload [kg]; None for the scene's alone.
+        identified: what `identify` found, or its ``identified.json``: all metrics hold for robots at the edge of what it leaves likely, too.
         response: of the robot, measured, for margins as in `flexfmu.margins`; metrics remain those of the model.
         method: what improves the best of the first trials: ``gradient``, by differences of runs;
             ``sample`` makes first trials alone.
@@ -951,15 +959,18 @@ def tune(
         TypeError: ``scene`` is of another type.
     """
     from flexfmu.cosim.design.gains.tuner import tune_scene, write_tuned, write_tuning
+    from flexfmu.cosim.design.identification.result import identified_robots
     from flexfmu.cosim.design.response.response import as_response
 
     folder = None if out is None else Path(out)
+    robot = resolved(with_parts(as_scene(scene), parts))
     result = tune_scene(
-        resolved(with_parts(as_scene(scene), parts)),
+        robot,
         over,
         minimise,
         subject_to,
         payload_band=payload_band,
+        robots=identified_robots(robot, identified),
         response=as_response(response),
         method=method,
         trials=trials,

@@ -1,34 +1,42 @@
-"""The same loop with other payloads: controllers, shapers and plan assume the scene's."""
+"""The same loop with other robots: controllers, shapers and plan assume the scene's."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
+from typing import TypeVar
 
+from flexfmu.cosim.design.identification.result import Identification
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import metric
 from flexfmu.cosim.metrics.metrics import metrics_of
-from flexfmu.cosim.reports.comparison import OverBand
 from flexfmu.model.scene.imperfections import PayloadErrorSection
 from flexfmu.model.scene.schema import Scene
+
+Key = TypeVar("Key")
 
 PayloadBand = float | tuple[float, float]
 """A fraction to both sides, 0.2 for 20 %, or the lightest and the heaviest payload [kg]."""
 
 
 def parse_band(text: str) -> PayloadBand:
-    """Return the band that an option stands for, ``0.2`` or ``4,8``.
+    """Return the band that an option stands for, ``0.2`` or ``4,8``, or the payload's interval in an ``identified.json``.
 
     Raises:
-        InputError: it is neither a fraction nor two masses.
+        InputError: it is neither a fraction nor two masses, or the file has no payload.
     """
+    if text.endswith(".json"):
+        return Identification.read(text).band("payload.mass")
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         numbers = []
     if not 1 <= len(numbers) <= 2:
-        raise InputError(f"a payload band is a fraction, 0.2, or two masses in kg, 4,8; got {text!r}")
+        raise InputError(
+            f"a payload band is a fraction, 0.2, two masses in kg, 4,8, or an identified.json; got {text!r}"
+        )
     return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
 
 
@@ -58,15 +66,15 @@ def band_masses(scene: Scene, band: PayloadBand) -> tuple[float, float]:
 
 def robustness(
     prepared: PreparedScene,
-    masses: tuple[float, float],
+    robots: Mapping[Key, Mapping[str, float]],
     names: Collection[str],
     done: Callable[[float], None] = lambda fraction: None,
-) -> OverBand:
-    """Run a loop with both masses and measure the worst.
+) -> tuple[dict[str, Metric], dict[Key, str]]:
+    """Run a loop with several robots; return the largest value of each metric, and why runs failed.
 
     Args:
         prepared: the scene.
-        masses: payloads of the robot [kg]; the loop keeps that of the scene.
+        robots: parameters of each robot's FMU; the loop keeps those of the scene.
         names: of the metrics.
         done: is called with the finished fraction.
 
@@ -74,15 +82,16 @@ def robustness(
         ResultsError: a metric needs signals that aren't recorded.
         EquilibriumError: the end pose has no static equilibrium.
     """
-    found, failures = list[Mapping[str, float | None]](), dict[float, str]()
-    for number, mass in enumerate(masses):
-        run = prepared.run({"payload.mass": mass}, lambda fraction, number=number: done(0.5 * (number + fraction)))  # type: ignore[misc]
+    found, failures = list[Mapping[str, float | None]](), dict[Key, str]()
+    for number, (key, robot) in enumerate(robots.items()):
+        run = prepared.run(robot, lambda fraction, number=number: done((number + fraction) / len(robots)))  # type: ignore[misc]
         if reason := failure_of(run):
-            failures[mass] = reason
+            failures[key] = reason
         else:
             found.append(metrics_of(run, names))
-    worst = {name: metric(name, None if failures else largest([each[name] for each in found])) for name in names}
-    return OverBand(masses, worst, failures)
+    return {
+        name: metric(name, None if failures else largest([each[name] for each in found])) for name in names
+    }, failures
 
 
 def failure_of(run: Run) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 
 from flexfmu.cosim.design.gains.goals import MARGINS, Condition, Goal
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses, failure_of, largest, robustness
+from flexfmu.cosim.design.margins.margins import shown_robot
 from flexfmu.cosim.design.margins.scene_margins import MarginsResult, scene_margins
 from flexfmu.cosim.design.response.response import FrequencyResponse
 from flexfmu.cosim.engine.errors import CosimError, InputError
@@ -95,6 +96,7 @@ class Study:
         minimise: the figure to minimise.
         conditions: limits of figures.
         band: payloads that all figures hold for, the worst of them; None for the scene's alone.
+        robots: parameters of further robots that they hold for.
         response: of the robot, that margins are those with, whatever the payload; None for the model's.
     """
 
@@ -103,6 +105,7 @@ class Study:
     minimise: Goal
     conditions: tuple[Condition, ...] = ()
     band: PayloadBand | None = None
+    robots: tuple[Mapping[str, float], ...] = ()
     response: FrequencyResponse | None = None
 
     @property
@@ -144,15 +147,17 @@ class Study:
         if reason := failure_of(run):
             return Trial(values, {}, reason)
         found = dict(metrics_of(run, names))
-        if self.band is not None:
-            # the worst of the scene's payload and both ends
-            worst = robustness(prepared, band_masses(scene, self.band), names)
-            for mass, reason in worst.failures.items():
-                return Trial(values, {}, f"with {mass:g} kg: {reason}")
-            found = {name: largest([found[name], worst.worst[name].value]) for name in names}
+        # the worst of the scene's robot, both ends of the band, and further robots
+        masses = () if self.band is None else band_masses(scene, self.band)
+        robots = {f"{mass:g} kg": {"payload.mass": mass} for mass in masses}
+        if robots := robots | {shown_robot(each): each for each in self.robots}:
+            worst, failures = robustness(prepared, robots, names)
+            for robot, reason in failures.items():
+                return Trial(values, {}, f"with {robot}: {reason}")
+            found = {name: largest([found[name], worst[name].value]) for name in names}
         # margins take longer than runs
         if any(goal.is_margin for goal in self.goals):
-            found |= margin_figures(loop_margins(scene, self.band, self.response))
+            found |= margin_figures(loop_margins(scene, self.band, self.response, self.robots))
         return Trial(values, found)
 
     def rank(self, trial: Trial) -> tuple[int, float]:
@@ -169,9 +174,12 @@ class UnstableLoopError(InputError):
 
 
 def loop_margins(
-    scene: Scene, band: PayloadBand | None = None, response: FrequencyResponse | None = None
+    scene: Scene,
+    band: PayloadBand | None = None,
+    response: FrequencyResponse | None = None,
+    robots: Sequence[Mapping[str, float]] = (),
 ) -> MarginsResult:
-    """Return the margins of a scene's loop along its path and over a band of payloads, or at its end with a measured response.
+    """Return the margins of a scene's loop along its path, over a band of payloads and robots, or at its end with a measured response.
 
     Raises:
         UnstableLoopError: the loop is unstable about a pose.
@@ -179,10 +187,11 @@ def loop_margins(
         TrajectoryError, EquilibriumError: as for `flexfmu.margins`.
     """
     masses = () if band is None or response is not None else band_masses(scene, band)
-    found = scene_margins(scene, poses=POSES, payloads=masses, response=response)
+    robots = () if response is not None else robots
+    found = scene_margins(scene, poses=POSES, payloads=masses, robots=robots, response=response)
     worst = max(found.poses, key=lambda pose: pose.radius)
     if not worst.is_stable:
-        payload = "" if band is None else f" with {worst.payload:.4g} kg"
+        payload = "" if band is None and not robots else f" with {worst.carrier}"
         raise UnstableLoopError(f"the loop is unstable about the pose at {100.0 * worst.s:.3g} % of the path{payload}")
     return found
 
@@ -235,6 +244,8 @@ def trial_journal(
         "figures": sorted({part for goal in study.goals for part in goal.parts}),
         "payload band": study.band,
     }
+    if study.robots:
+        about["robots"] = [*study.robots]
     if study.response is not None:
         about["response"] = study.response.rows()
     return WorkJournal(folder, "tuning", about, restart=restart, note=note, total=total)

@@ -153,6 +153,7 @@ def tune_scene(
     subject_to: Sequence[str] = (),
     *,
     payload_band: PayloadBand | None = None,
+    robots: Sequence[Mapping[str, float]] = (),
     response: FrequencyResponse | None = None,
     method: str = "gradient",
     trials: int | None = None,
@@ -169,6 +170,7 @@ def tune_scene(
         scene: the scene, its effects chosen.
         over: key → (from, to), or texts ``KEY=FROM:TO``.
         minimise, subject_to, payload_band, response, method, trials, seed, processes: as for `flexfmu.tune`.
+        robots: parameters of further robots that all figures hold for.
         folder: where trials are kept; None for memory.
         restart: whether the trials of another tuning in the folder are discarded.
         show: is called with what is being done, and the finished fraction.
@@ -180,7 +182,7 @@ def tune_scene(
     if response is not None:
         response = replace(response, standard_error=None)  # errors of margins take longer than margins
     conditions = tuple(map(parse_condition, subject_to))
-    study = Study(scene, intervals, parse_goal(minimise), conditions, payload_band, response)
+    study = Study(scene, intervals, parse_goal(minimise), conditions, payload_band, tuple(robots), response)
     if payload_band is not None:
         band_masses(scene, payload_band)
     _check_figures(study)
@@ -312,6 +314,7 @@ def summary(result: TuneResult) -> dict[str, Any]:
         keys: for each key low, high, given (None where the joints differ) and tuned.
         minimise: name, unit, given and tuned.
         conditions: text, unit, limit, given and tuned of each; None for an infinite margin too.
+        robots: parameters of the further robots, where there are some.
         within_limits, interrupted, trials: whether the best trial keeps all limits, whether Ctrl-C ended the tuning, and the number of
             its trials.
     """
@@ -333,6 +336,7 @@ def summary(result: TuneResult) -> dict[str, Any]:
             for each in study.conditions
         ],
         "payload_band": study.band,
+        **({"robots": [*study.robots]} if study.robots else {}),
         "within_limits": result.is_feasible,
         "interrupted": result.interrupted,
         "trials": len(result.trials),

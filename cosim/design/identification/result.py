@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from flexfmu.cosim.engine.errors import InputError, suggestion
 from flexfmu.cosim.engine.files import to_json, write_whole
 from flexfmu.cosim.engine.showing import Rows, csv_text, few_lines, html_table, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.parameters import scene_values
 from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE, Curve, Panel, thinned
 from flexfmu.cosim.reports.page import Plot, Table, render_page
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
+from flexfmu.errors import read_text
 from flexfmu.model.scene.schema import Scene
 
 if TYPE_CHECKING:
@@ -32,6 +36,11 @@ CORRELATED = 0.9
 
 DRAWS = 200
 """Number of drawn cases in ``draws.csv``."""
+
+PLAN_BANDS = {"material.youngs_modulus": "stiffness_band"} | dict.fromkeys(
+    ("damping.ratio", "damping.rate", "damping.time"), "damping_band"
+)
+"""Parameter → relative band of a plan."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +136,7 @@ class Identification(Rows):
     """Parameters from measurements.
 
         found.values["payload.mass"], found.estimates[0].interval
-        flexfmu.run(found.scene); flexfmu.margins(scene, payload_band=found.band("payload.mass"))
+        flexfmu.run(found.scene); flexfmu.margins(scene, identified=found)
 
     Attributes:
         name: of the scene or FMU.
@@ -177,8 +186,92 @@ class Identification(Rows):
         return self.covariance / np.outer(errors, errors) if errors.size else self.covariance
 
     def band(self, name: str) -> tuple[float, float]:
-        """The interval of a parameter: a ``payload_band`` for `flexfmu.margins`, `flexfmu.tune` and `flexfmu.compare`."""
-        return next(each.interval for each in self.estimates if each.name == name)
+        """The interval of a parameter: a ``payload_band`` for `flexfmu.margins`, `flexfmu.tune` and `flexfmu.compare`.
+
+        Raises:
+            InputError: it isn't an estimate.
+        """
+        if (found := next((each.interval for each in self.free if each.name == name), None)) is None:
+            names = [each.name for each in self.free]
+            raise InputError(f"the identification of {self.name} has no interval of {name}; {suggestion(name, names)}")
+        return found
+
+    def plan_bands(self, scene: Scene) -> dict[str, Any]:
+        """The bands of a plan that contain the intervals: keywords of `flexfmu.plan_motion`, `payload_band` in kg and fractions about the scene's
+        own Young's modulus and damping.
+
+        Raises:
+            InputError: a plan can't vary anything that was identified, or an interval is too far from the scene's value.
+        """
+        found = dict[str, Any]()
+        for each, own in zip(self.free, self._own_values(scene), strict=True):
+            low, high = each.interval
+            if each.name == "payload.mass":
+                found["payload_band"] = each.interval
+            elif band := PLAN_BANDS.get(each.name):
+                found[band] = max(found.get(band, 0.0), abs(low / own - 1.0), abs(high / own - 1.0))
+                if found[band] >= 1.0:
+                    told = f"{each.name} is {low:.4g} to {high:.4g} as identified, {own:.4g} in scene {scene.name}"
+                    raise InputError(
+                        f"{told}; bands of a plan stay below 100 %: take the scene that identify writes with -o"
+                    )
+        if not found:
+            raise InputError(f"a plan varies payload, stiffness and damping; none was identified of {self.name}")
+        return found
+
+    def _own_values(self, scene: Scene) -> list[float]:
+        """A scene's values of what was estimated.
+
+        Raises:
+            InputError: its robot lacks one.
+        """
+        known = {name: each.value for name, each in scene_values(scene).items() if each.value}
+        if lacking := next((each.name for each in self.free if each.name not in known), None):
+            raise InputError(
+                f"scene {scene.name} has no {lacking}, which was identified of {self.name}: take the scene that identify writes with -o"
+            )
+        return [known[each.name] for each in self.free]
+
+    def robots(self, scene: Scene) -> list[dict[str, float]]:
+        """Robots at the edge of what is likely, two for each estimate: values of the FMU's parameters.
+
+        They are sigma points (S. J. Julier, J. K. Uhlmann, Unscented filtering and nonlinear estimation, Proc. IEEE 92 (2004) 401-422), so
+        far from the estimates that their convex hull contains the ellipsoid of the joint distribution that the intervals enclose: among them
+        a figure that is linear in the parameters is no better than at the worse end of its own interval of 95 % confidence. Each
+        parameter's values reach both ends of its interval.
+
+        Raises:
+            InputError: the scene's robot lacks a parameter.
+        """
+        self._own_values(scene)
+        free = self.free
+        values = np.array([each.value for each in free])
+        low, high = np.array([each.interval for each in free]).T
+        powers, axes = np.linalg.eigh(self.correlations)
+        root = np.sqrt(len(free)) * (axes * np.sqrt(np.maximum(powers, 0.0))) @ axes.T
+        steps = np.vstack([root, -root])
+        points = values + np.where(steps > 0.0, high - values, values - low) * steps
+        points = np.where((points <= 0.0) & (values > 0.0), low, points)
+        return [dict(zip((each.name for each in free), row, strict=True)) for row in points.tolist()]
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Self:
+        """The estimates and their covariance from an ``identified.json``.
+
+        Raises:
+            InputError: the file can't be read, or is another one.
+        """
+        try:
+            data = json.loads(read_text(Path(path)))
+            estimates = [
+                Estimated(name, **each | {"standard_error": each["standard_error"] or np.nan, "interval": tuple(each["interval"])})
+                for name, each in data["parameters"].items()
+            ]  # fmt: skip
+            return cls(data["name"], tuple(estimates), (), np.array(data["covariance"]), (), (), (), data["runs"])
+        except OSError as error:
+            raise InputError(f"can't read {path}: {error.strerror}") from error
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(f"{path} isn't an identified.json, which flexfmu identify --out DIR writes") from error
 
     def draws(self, count: int = DRAWS, seed: int = 0) -> list[dict[str, float]]:
         """Parameters drawn from their joint distribution, cases for `flexfmu.sweep`; none leaves what is allowed."""
@@ -217,7 +310,7 @@ class Identification(Rows):
 
         return {
             "name": self.name,
-            "parameters": {each.name: described(each) for each in self.estimates},
+            "parameters": {each.name: described(each) | {"key": each.key} for each in self.estimates},
             "sensors": {each.name: described(each) for each in self.sensors},
             "correlations": {"parameters": [each.name for each in self.free], "matrix": self.correlations.tolist()},
             "covariance": self.covariance.tolist(),
@@ -393,6 +486,15 @@ class Identification(Rows):
             for axes in panels[-1]:
                 axes.set_xlabel("time [s]")
         return figure
+
+
+def identified_robots(
+    scene: Scene, source: Identification | str | os.PathLike[str] | None
+) -> Sequence[Mapping[str, float]]:
+    """The robots of an identification, or of its ``identified.json``; none for None. Errors as for `Identification.robots` and `read`."""
+    if source is None:
+        return ()
+    return (source if isinstance(source, Identification) else Identification.read(source)).robots(scene)
 
 
 def _with_error(each: Estimated) -> str:

@@ -12,7 +12,7 @@ An introduction to disk margins, IEEE Control Systems Magazine 40 (2020).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import pairwise
@@ -130,6 +130,7 @@ class PoseMargins:
         loops: a row for each channel, then for all at once.
         open: the lifted loop that is cut at each channel, and at all, for pictures.
         payload: mass [kg] of the robot's payload; NaN where it isn't a scene's.
+        robot: parameters of a robot that isn't the scene's, in words; empty for another payload alone.
         unstable: number of unstable poles of the closed loop around a measured response, of which radius and poles aren't known; None
             where they are.
     """
@@ -142,6 +143,7 @@ class PoseMargins:
     loops: tuple[LoopMargins, ...]
     open: tuple[OpenLoop, ...]
     payload: float = nan
+    robot: str = ""
     unstable: int | None = None
 
     @property
@@ -151,8 +153,12 @@ class PoseMargins:
 
     def place(self, with_payload: bool = False) -> str:
         """Where it is, in words."""
-        payload = f", {self.payload:.4g} kg" if with_payload else ""
-        return "the point" if isnan(self.s) else f"path {self.s:.2f}{payload}"
+        return "the point" if isnan(self.s) else f"path {self.s:.2f}{f', {self.carrier}' if with_payload else ''}"
+
+    @property
+    def carrier(self) -> str:
+        """The robot in words: its payload, or what else differs from the scene's."""
+        return self.robot or f"{self.payload:.4g} kg"
 
     @property
     def measures(self) -> tuple[float, ...]:
@@ -185,6 +191,11 @@ def gain_measures(reduction: float, margin: float) -> tuple[float, float]:
 def _bounded(value: float) -> float:
     """0 to 1 for 0 to infinity."""
     return value / (1.0 + value) if isfinite(value) else 1.0
+
+
+def shown_robot(parameters: Mapping[str, float]) -> str:
+    """Parameters of a robot in words."""
+    return ", ".join(f"{name} = {value:.5g}" for name, value in parameters.items())
 
 
 def pose_margins(

@@ -122,7 +122,7 @@ class LoopCurve:
 @one_blas_thread()
 def loop_curves(poses: Sequence[PoseMargins]) -> list[LoopCurve]:
     """The open loops at all poses and single cuts up to half the sampling frequency, the smallest disk margin first."""
-    found, several = [], len({pose.payload for pose in poses}) > 1
+    found, several = [], len({pose.carrier for pose in poses}) > 1
     for pose in poses:
         place = pose.place(several)
         for row, cut in zip(pose.loops, pose.open, strict=True):

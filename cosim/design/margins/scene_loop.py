@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from copy import copy
 from functools import cached_property
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
@@ -21,6 +22,7 @@ from flexfmu.cosim.engine.master.simulator import is_foreign
 from flexfmu.cosim.engine.master.system import Connection, System, connect
 from flexfmu.cosim.engine.slave import Sampled, Slave, SlaveVariable
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.experiment.parameters import scene_with_parameters
 from flexfmu.cosim.experiment.scene_loop import Loop
 from flexfmu.cosim.experiment.system import PLANT, REFERENCES
 from flexfmu.cosim.experiment.wiring import wire
@@ -307,6 +309,12 @@ class WiredLoop:
     def payload(self) -> float:
         """The robot's own payload [kg]."""
         return self._scene.payload.mass
+
+    def around(self, parameters: Mapping[str, float]) -> WiredLoop:
+        """The same loop around a robot with other parameters of the FMU, which controllers don't know."""
+        found = copy(self)
+        found._scene = without_coulomb_friction(scene_with_parameters(self._scene, parameters))
+        return found
 
     def at(
         self,

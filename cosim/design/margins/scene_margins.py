@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from math import degrees, isfinite, isnan, log, nan, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ from rich.text import Text
 from flexfmu.cosim.design.margins.course import PathLoop, Place, least_places, worst_places
 from flexfmu.cosim.design.margins.linear_loop import LinearLoop
 from flexfmu.cosim.design.margins.loop_warnings import coarse_counts
-from flexfmu.cosim.design.margins.margins import FIGURES, LoopMargins, PoseMargins, pose_margins
+from flexfmu.cosim.design.margins.margins import FIGURES, LoopMargins, PoseMargins, pose_margins, shown_robot
 from flexfmu.cosim.design.margins.measured_loop import MeasuredLoop, measured_margins
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop, WiredSystem, standing_for
 from flexfmu.cosim.design.response.response import FrequencyResponse
@@ -73,7 +74,7 @@ class MarginsResult(Rows):
     @property
     def own(self) -> MarginsResult:
         """Those with the robot's own payload."""
-        count = sum(pose.payload == self.poses[0].payload for pose in self.poses)
+        count = sum(not pose.robot and pose.payload == self.poses[0].payload for pose in self.poses)
         return MarginsResult(self.scene, self.poses[:count], self.linear[:count])
 
     @property
@@ -98,7 +99,7 @@ class MarginsResult(Rows):
                 f"The loop is stable: gain margin {worst.gain_reduction:.3g} to {worst.gain_margin:.3g}, phase margin "
                 f"{degrees(worst.phase_margin):.3g}°, delay margin {1e3 * worst.delay_margin:.3g} ms."
             )
-        several = len({each.payload for each in self.poses}) > 1
+        several = len({each.carrier for each in self.poses}) > 1
         unstable = [each for each in self.poses if not each.is_stable]
         where = "; ".join(each.place(several) for each in unstable)
         if self.response is not None:
@@ -125,9 +126,10 @@ class MarginsResult(Rows):
 
     def rows(self) -> list[dict[str, Any]]:
         """A row for each pose and each cut, in SI units."""
-        found = []
+        found, several = [], any(pose.robot for pose in self.poses)
         for pose in self.poses:
             place: dict[str, Any] = {"s": pose.s, "x": pose.position[0], "y": pose.position[1], "payload": pose.payload}
+            place |= {"robot": pose.robot} if several else {}
             place |= {"stable": pose.is_stable, "radius": pose.radius}
             found += [place | {name: getattr(row, name) for name in ("channel", *FIGURES)} for row in pose.loops]
         return found
@@ -139,6 +141,7 @@ def scene_margins(
     *,
     poses: int = POSES,
     payloads: Sequence[float] = (),
+    robots: Sequence[Mapping[str, float]] = (),
     response: FrequencyResponse | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> MarginsResult:
@@ -148,6 +151,7 @@ def scene_margins(
         scene: the scene, its effects chosen, driven by torques, with controllers.
         poses: number of poses, equally spaced along the path; between them the worst values are searched. 1 for the end alone.
         payloads: lightest and heaviest payload [kg]; the worst values are searched between them, too.
+        robots: parameters of further robots, unknown to the controllers.
         response: of the robot at the end of the path, in place of the model's in its band; then there is no other pose.
         progress: called with the finished fraction, 0 to 1.
 
@@ -162,18 +166,20 @@ def scene_margins(
     wired = WiredLoop(scene, loop)
     path = PathLoop(wired, loop.motion)
     if response is not None:
-        if payloads:
-            raise InputError("a measured response is that of one payload: leave out the band of payloads")
+        if payloads or robots:
+            raise InputError(
+                "a measured response is that of one robot: leave out the band of payloads, and what was identified"
+            )
         linear, names = wired.at(path.position(1.0))
         model = pose_margins(linear, names, 1.0, path.position(1.0), path.joints(1.0), path.payload)
         measured = MeasuredLoop(linear, names, wired.wired, wired.plant(path.position(1.0)), response)
         pose = measured_margins(measured, names, model)
         return MarginsResult(scene, (pose,), (linear,), coarse_counts(scene, loop, wired), response)
 
-    def margins_at(place: Place) -> tuple[PoseMargins, LinearLoop]:
+    def margins_at(path: PathLoop, robot: str, place: Place) -> tuple[PoseMargins, LinearLoop]:
         s, payload = place.s, place.payload
         found = [
-            (pose_margins(linear, names, s, path.position(s), path.joints(s), payload), linear)
+            (replace(pose_margins(linear, names, s, path.position(s), path.joints(s), payload), robot=robot), linear)
             for linear, names in path.loops(place)
         ]
         # where the motion passes twice, the worse of both
@@ -184,13 +190,23 @@ def scene_margins(
 
     given = np.linspace(0.0, 1.0, poses).tolist() if poses > 1 else [1.0]
     searched = [*given, *path.breakpoints(scene)] if poses > 1 else given
-    found = worst_places(margins_at, measures, searched, (path.payload, *payloads), progress)
-    # the poses that were asked for, and the worst ones: with the robot's own payload, and with any
-    own = {place: each for place, each in found.items() if place.payload == path.payload}
-    worst = [*least_places(own, measures), *least_places(found, measures)]
-    chosen = [place for place in found if place in worst or (place.s in given and place.payload == path.payload)]
-    chosen.sort(key=lambda place: (place.payload != path.payload, place.payload, place.s))
-    results = [found[each] for each in chosen]
+    results, paths = list[tuple[PoseMargins, LinearLoop]](), [("", path)]
+    paths += [(shown_robot(each), PathLoop(wired.around(each), loop.motion)) for each in robots]
+    for number, (robot, path) in enumerate(paths):
+        found = worst_places(
+            partial(margins_at, path, robot),
+            measures,
+            searched,
+            (path.payload,) if robot else (path.payload, *payloads),
+            lambda share, number=number: progress((number + share) / len(paths)),  # type: ignore[misc]
+        )
+        # the poses that were asked for of the scene's robot, and the worst ones: with the robot's own payload, and with any
+        own = {place: each for place, each in found.items() if place.payload == path.payload}
+        worst = [*least_places(own, measures), *least_places(found, measures)]
+        asked = () if robot else given
+        chosen = [place for place in found if place in worst or (place.s in asked and place.payload == path.payload)]
+        chosen.sort(key=lambda place: (place.payload != path.payload, place.payload, place.s))
+        results += [found[each] for each in chosen]
     counts = coarse_counts(scene, loop, wired)
     return MarginsResult(scene, tuple(pose for pose, _ in results), tuple(linear for _, linear in results), counts)
 
@@ -239,11 +255,12 @@ HEADS = ("gain", "less", "phase\n°", "delay\nms", "disk", "peak\nS", "band-\nwi
 
 def margins_table(result: MarginsResult) -> list[RenderableType]:
     """The margins of each pose and each cut, the worst ones, and what they say."""
-    tables, payloads = list[Table](), list(dict.fromkeys(each.payload for each in result.poses))
-    for payload in payloads:
-        several = f", {payload:.4g} kg" if len(payloads) > 1 else ""
+    tables, carriers = list[Table](), dict.fromkeys((each.robot, each.payload) for each in result.poses)
+    for carrier in carriers:
+        poses = [each for each in result.poses if (each.robot, each.payload) == carrier]
+        several = f", {poses[0].carrier}" if len(carriers) > 1 else ""
         tables.append(titled_table(f"Margins of {result.scene.name}{several}", "path", "cut", numbers=HEADS))
-        for pose in (each for each in result.poses if each.payload == payload):
+        for pose in poses:
             for row in pose.loops:
                 # of an unstable loop the crossover alone means something
                 texts = _texts(row) if pose.is_stable else [*"-" * 7, _texts(row)[-1]]

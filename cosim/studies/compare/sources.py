@@ -26,7 +26,7 @@ from flexfmu.cosim.experiment.timing import processor_time
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, metric
 from flexfmu.cosim.metrics.metrics import measure_run
-from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun
+from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun, OverBand
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import parse_setting, split_values
@@ -172,8 +172,11 @@ def _simulated(scene: Scene, show: ShowProgress, band: PayloadBand | None) -> Co
         return found
     names = [name for name in BAND_METRICS if name in found.metrics]
     text = f"simulating {scene.name} with other payloads"
-    worst = robustness(prepared, band_masses(scene, band), names, lambda fraction: show(text, fraction))
-    return replace(found, band=worst)
+    masses = band_masses(scene, band)
+    robots = {mass: {"payload.mass": mass} for mass in masses}
+    return replace(
+        found, band=OverBand(masses, *robustness(prepared, robots, names, lambda fraction: show(text, fraction)))
+    )
 
 
 def _margins(scene: Scene, band: PayloadBand | None) -> tuple[dict[str, Metric], str]:

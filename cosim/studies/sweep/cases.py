@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from flexfmu.cosim.design.identification.result import Identification
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.errors import read_text
 from flexfmu.model.scene.errors import SceneError
@@ -204,11 +205,15 @@ def _points(sample: str, dimension: int, seed: int) -> tuple[str, np.ndarray[Any
 
 
 def read_cases(path: str | Path) -> tuple[Cases, list[str]]:
-    """Cases from a CSV file: keys in the first line, perhaps with units in brackets; an empty cell leaves the scene's value.
+    """Cases from a CSV file: keys in the first line, perhaps with units in brackets; an empty cell leaves the scene's value. Or draws from an
+    ``identified.json``.
 
     Raises:
         InputError: the file can't be read or isn't such a table.
     """
+    if Path(path).suffix == ".json":
+        draws = Identification.read(path).draws()
+        return make_table([*draws[0]] if draws else [], [[*each.values()] for each in draws], str(path))
     try:
         text = io.StringIO(read_text(path), newline="")
         lines = [line for line in csv.reader(text, skipinitialspace=True, strict=True) if any(line)]
