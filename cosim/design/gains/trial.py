@@ -149,8 +149,9 @@ class Study:
         found = dict(metrics_of(run, names))
         # the worst of the scene's robot, both ends of the band, and further robots
         masses = () if self.band is None else band_masses(scene, self.band)
-        robots = {f"{mass:g} kg": {"payload.mass": mass} for mass in masses}
-        if robots := robots | {shown_robot(each): each for each in self.robots}:
+        robots: dict[str, Mapping[str, float]] = {f"{mass:g} kg": {"payload.mass": mass} for mass in masses}
+        robots |= {shown_robot(each): each for each in self.robots}
+        if robots:
             worst, failures = robustness(prepared, robots, names)
             for robot, reason in failures.items():
                 return Trial(values, {}, f"with {robot}: {reason}")
