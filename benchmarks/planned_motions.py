@@ -1,6 +1,6 @@
-"""What `flexfmu plan` reaches: total time, residual vibration over the payload band, use of the limits, and the time it takes.
+"""What `flexfmu plan` reaches: total time, power, RMS torque and energy, residual vibration over the payload band, and the time it takes.
 
-python benchmarks/planned_motions.py [--json] [--robust] [--method NAME ...] [--damping RATIO] [SCENE ...]
+python benchmarks/planned_motions.py [--json] [--robust] [--method NAME ...] [--damping RATIO] [--limit NAME=VALUE ...] [SCENE ...]
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from flexfmu import load_scene
+from flexfmu.cosim.cli.design import with_wishes
 from flexfmu.cosim.design.plans.planned_files import summary, write_scene
 from flexfmu.cosim.design.plans.planner import METHODS, PlanResult, plan_scene
 from flexfmu.model.scene.schema import Scene
@@ -29,6 +30,9 @@ def main() -> None:
     parser.add_argument("--robust", action="store_true", help="judge in richer models too")
     parser.add_argument("--method", action="append", choices=METHODS, help="only these methods")
     parser.add_argument("--damping", type=float, help="modal damping ratio instead of the scene's")
+    parser.add_argument(
+        "--limit", action="append", default=[], help="limits as of flexfmu plan, power=free for example"
+    )
     parser.add_argument("--out", type=Path, help="folder for the planned scenes")
     options = parser.parse_args()
     found = []
@@ -36,6 +40,7 @@ def main() -> None:
         scene = load_scene(name)
         if options.damping is not None:
             scene = scene.replace({"effects.damping": {"kind": "modal", "ratio": options.damping}})
+        scene = with_wishes(scene, {}, options.limit)
         result = planned(scene, tuple(options.method or METHODS), robust=options.robust)
         found.append(summary(result))
         if options.out is not None:
@@ -64,6 +69,15 @@ def show(result: PlanResult) -> None:
     print(
         f"  time {chosen.time:.4f} s = {chosen.time / given.time:.3f} of {given.time:g} s; residual {1e6 * chosen.residual:.3f} um"
     )
+    for name, unit in (
+        ("power", "W"),
+        ("supply_power", "W"),
+        ("regenerated_power", "W"),
+        ("rms_torque", "N.m"),
+        ("energy", "J"),
+    ):
+        value, usual = getattr(chosen, name), getattr(given, name)
+        print(f"  {name:18} {value:10.4g} {unit:5} = {value / usual:.3f} of the given motion's")
     for use in chosen.uses:
         print(f"  {use.name:18} {use.value:10.4g} of {use.limit:10.4g} {use.unit:7} {use.where}")
     for row in result.rows():

@@ -648,9 +648,9 @@ def plan(
             Default: those of the scene.
         stiffness_band (FRACTION): Relative change of Young's modulus to both sides. Default: the scene's, or 0.
         damping_band (FRACTION): Relative change of the damping to both sides. Default: the scene's, or 0.
-        limit (NAME=VALUE): A limit in SI units, torque=80, or as a multiple of the given motion's, jerk=2.5x: torque, speed,
-            acceleration, jerk, rms_torque, power, reaction, stress, off_path; may be repeated. Default: torque=1x, speed=2.5x,
-            acceleration=2.5x, jerk=2.5x.
+        limit (NAME=VALUE): A limit in SI units, torque=80, as a multiple of the given motion's, jerk=2.5x, or power=free: torque, speed,
+            acceleration, jerk, rms_torque, power, energy, supply_power, regenerated_power, reaction, stress, off_path; may be
+            repeated. Default: torque=1x, rms_torque=1x, power=1x, speed=2.5x, acceleration=2.5x, jerk=2.5x.
         margin (METRES): How far the motion may enter the keep-out region. Default: the scene's, or 1e-4.
         corridor (METRES): How far the motion may leave the given path to the outside. Default: the scene's, or 0.01.
         method (NAME): search, flexible or optimal; may be repeated. Default: all.
@@ -678,7 +678,7 @@ def plan(
         "stiffness_band": stiffness_band, "damping_band": damping_band, "margin": margin, "corridor": corridor, "seed": seed,
     }  # fmt: skip
     bands = {} if identified is None else Identification.read(identified).plan_bands(robot)
-    robot = _with_wishes(robot, bands | {key: value for key, value in wishes.items() if value is not None}, limit or [])
+    robot = with_wishes(robot, bands | {key: value for key, value in wishes.items() if value is not None}, limit or [])
     folder = out or console.usual_folder(robot.name, settings, "-plan")
     console.prepared_folder(folder)
     journal, started = (
@@ -713,7 +713,7 @@ def plan(
     return console.FAILURE if result.missed or (result.interrupted and not is_spent) else 0
 
 
-def _with_wishes(scene: Scene, wishes: dict[str, Any], limits: list[str]) -> Scene:
+def with_wishes(scene: Scene, wishes: dict[str, Any], limits: list[str]) -> Scene:
     """The scene with the wishes of the options in its section `plan`.
 
     Raises:
@@ -723,11 +723,13 @@ def _with_wishes(scene: Scene, wishes: dict[str, Any], limits: list[str]) -> Sce
     changes = {f"plan.{key}": value for key, value in wishes.items()}
     for text in limits:
         name, _, value = text.partition("=")
-        number = value.removesuffix("x")
+        number, key = value.removesuffix("x"), f"plan.limits.{name.strip()}"
         try:
-            changes[f"plan.limits.{name.strip()}"] = {"ratio": float(number)} if value != number else float(number)
+            changes[key] = value if value == "free" else {"ratio": float(number)} if value != number else float(number)
         except ValueError:
-            raise InputError(f"--limit takes NAME=VALUE, torque=80 in SI units or torque=1.2x; got {text!r}") from None
+            raise InputError(
+                f"--limit takes NAME=VALUE, torque=80 in SI units, torque=1.2x or torque=free; got {text!r}"
+            ) from None
     return scene.replace(changes) if changes else scene
 
 
@@ -736,13 +738,15 @@ SHOWN = 12
 
 
 def _shown_plan(result: PlanResult) -> Iterator[RenderableType]:
-    """How close the chosen motion comes to each limit, the front, the chosen motion in other models, and the verdict."""
-    from flexfmu.cosim.design.plans.planned_files import front_table, limits_table, robustness_table
+    """What the given and the chosen motion need, how close this comes to each limit, the front, the chosen motion in other models, and the verdict."""
+    from flexfmu.cosim.design.plans.planned_files import front_table, limits_table, robustness_table, summary_table
     from flexfmu.cosim.reports.terminal import as_terminal_table
 
     chosen, given = result.chosen, result.given
     faster = "" if chosen is given else f", {chosen.time / given.time:.3g} of the given time"
     yield f"{result.goals.scene.name}: {chosen.candidate.label}: {chosen.time:.4g} s{faster}"
+    if chosen is not given:
+        yield as_terminal_table(summary_table(result))
     yield as_terminal_table(limits_table(chosen), texts=("Unit", "Kept", "Where"))
     # motions over the whole front, the given and the chosen one and those to compare with among them
     table, count = front_table(result), len(result.table)

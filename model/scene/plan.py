@@ -112,10 +112,13 @@ def _number(value: Any) -> bool:
 def _limit(value: Any) -> Any:
     """Tell in one sentence what a limit may be; pydantic tells one for each form."""
     ratio: Any = value.get("ratio") if isinstance(value, dict) and len(value) == 1 else value
-    if isinstance(value, Ratio) or value is None or (_number(ratio) and ratio > 0.0):
+    if value is None or value == "free":
+        # files have no null, and without the key the default would hold
+        return "free"
+    if isinstance(value, Ratio) or (_number(ratio) and ratio > 0.0):
         return value
     raise ValueError(
-        f"a limit must be above 0, a number in SI units or {{ ratio = 1.0 }} of the given motion's, got {value!r}"
+        f'a limit must be above 0, a number in SI units, {{ ratio = 1.0 }} of the given motion\'s or "free", got {value!r}'
     )
 
 
@@ -131,23 +134,27 @@ def _band(value: Any) -> Any:
     )
 
 
-Limit = Annotated[Positive | Ratio | None, BeforeValidator(_limit)]
-"""A limit in an SI unit, or `{ ratio = 1.0 }` of the given motion's value."""
+Limit = Annotated[Positive | Ratio | Literal["free"] | None, BeforeValidator(_limit)]
+"""A limit in an SI unit, `{ ratio = 1.0 }` of the given motion's value, or ``free`` for no limit."""
 
 
 class PlanLimits(Section):
     """Limits of the planned motion, in SI units or as `{ ratio = 1.0 }` of what the given motion needs.
 
-    The default keeps torques to those of the given motion at the same payload, and the references to 2.5 times its speed,
-    acceleration and jerk.
+    The default keeps torques, their RMS values and the power of each motor to those of the given motion at the same payload, and the
+    references to 2.5 times its speed, acceleration and jerk. ``supply_power`` and ``regenerated_power`` are those of both motors together,
+    ``energy`` what they give in a run, without what they take back.
     """
 
     torque: Annotated[Limit, quantity("N.m")] = Ratio(ratio=1.0)
     speed: Annotated[Limit, quantity("rad/s")] = Ratio(ratio=2.5)
     acceleration: Annotated[Limit, quantity("rad/s2")] = Ratio(ratio=2.5)
     jerk: Annotated[Limit, quantity("rad/s3")] = Ratio(ratio=2.5)
-    rms_torque: Annotated[Limit, quantity("N.m")] = None
-    power: Annotated[Limit, quantity("W")] = None
+    rms_torque: Annotated[Limit, quantity("N.m")] = Ratio(ratio=1.0)
+    power: Annotated[Limit, quantity("W")] = Ratio(ratio=1.0)
+    energy: Annotated[Limit, quantity("J")] = None
+    supply_power: Annotated[Limit, quantity("W")] = None
+    regenerated_power: Annotated[Limit, quantity("W")] = None
     reaction: Annotated[Limit, quantity("N")] = None
     stress: Annotated[Limit, quantity("Pa")] = None
     off_path: Annotated[Positive | None, quantity("m")] = None

@@ -17,12 +17,16 @@ from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.goals import MET, RATES, Goals, Variation, peak_rates
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.experiment.metric import Metric, RunMetrics
 from flexfmu.cosim.experiment.planning import plan, plan_own
 from flexfmu.cosim.experiment.scene_loop import own_loop
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal, about_scene
 from flexfmu.cosim.many.prepared_scene import PreparedScene
+from flexfmu.cosim.metrics.metrics import joint_speed, product
+from flexfmu.cosim.metrics.segments import Analysis, HermiteSegments
+from flexfmu.cosim.metrics.signals import TORQUES, segments
 from flexfmu.cosim.metrics.stress import link_stresses
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
@@ -122,6 +126,7 @@ class Peaks:
         torque_time: instants of the largest torques [s].
         residual: largest distance from the rest position after the motion [m].
         energy: mechanical energy that the motors give, without what they take back [J].
+        supply_power, regenerated_power: largest power of both motors together, into the robot and out of it [W].
         off_path: largest distance of the end effector from the given path [m], and when [s].
         clearance: smallest distance to the keep-out region [m], and when [s].
         reaction: largest force in a joint [N]; NaN if it isn't limited.
@@ -135,6 +140,8 @@ class Peaks:
     power: tuple[float, float]
     residual: float
     energy: float
+    supply_power: float
+    regenerated_power: float
     off_path: tuple[float, float]
     clearance: tuple[float, float]
     reaction: float
@@ -146,6 +153,9 @@ FIGURES: Mapping[str, tuple[str, str]] = {
     "residual": ("Largest residual vibration", "m"),
     "torque": ("Largest torque", "N.m"),
     "rms_torque": ("Largest RMS torque", "N.m"),
+    "power": ("Largest power of a motor", "W"),
+    "supply_power": ("Largest power of both motors", "W"),
+    "regenerated_power": ("Largest power that flows back from both motors", "W"),
     "energy": ("Largest energy of a run", "J"),
     "off_path": ("Largest distance from the given path", "m"),
     "clearance": ("Smallest distance to the keep-out region", "m"),
@@ -195,6 +205,21 @@ class Assessment:
     def rms_torque(self) -> float:
         """Largest root mean square of a torque [N.m]."""
         return max(max(each.rms_torque) for each in self.peaks)
+
+    @property
+    def power(self) -> float:
+        """Largest power of a motor [W]."""
+        return max(max(each.power) for each in self.peaks)
+
+    @property
+    def supply_power(self) -> float:
+        """Largest power of both motors together into the robot [W]."""
+        return max(each.supply_power for each in self.peaks)
+
+    @property
+    def regenerated_power(self) -> float:
+        """Largest power of both motors together out of the robot [W]."""
+        return max(each.regenerated_power for each in self.peaks)
 
     @property
     def off_path(self) -> float:
@@ -281,6 +306,10 @@ class Judge:
             self._off_path(points[moving]),
             self.goals.clearance.along(points[moving], self.goals.wishes.margin),
         )
+
+        def power(joint: int) -> float:
+            return max(float(metrics[f"{name}_{joint}"]) for name in ("peak_power", "peak_regenerated_power"))
+
         # from when on the vibration counts
         residual = float(metrics["residual_vibration_amplitude"])
         if wait := self.goals.wishes.settled_within:
@@ -300,9 +329,10 @@ class Judge:
             (float(metrics["peak_torque_1"]), float(metrics["peak_torque_2"])),
             tuple(float(recording.time[np.abs(each).argmax()]) for each in torques),  # type: ignore[arg-type]
             (float(metrics["rms_torque_1"]), float(metrics["rms_torque_2"])),
-            (float(metrics["peak_power_1"]), float(metrics["peak_power_2"])),
+            (power(1), power(2)),
             residual,
             float(metrics["positive_energy_1"]) + float(metrics["positive_energy_2"]),
+            *_both_powers(recording, run.plan.joints),
             (float(off.max()), float(recording.time[off.argmax()])),
             (float(clear.min()), float(recording.time[clear.argmin()])),
             reaction,
@@ -338,6 +368,20 @@ class Judge:
             yield limit.used(value, where)
         if wishes.duration is not None:
             yield Limit("time", wishes.duration, "s", rounding=MET).used(found.time, "whole motion")
+
+
+def _both_powers(recording: Recording, joints: Trajectory) -> tuple[float, float]:
+    """Largest power of both motors together into the robot, and out of it [W]."""
+    powers = []
+    for joint in range(2):
+        speed = joint_speed(recording, joint, joints)
+        assert speed is not None  # it is planned
+        powers.append(product(segments(recording, TORQUES[joint : joint + 1]), speed))
+    one, other = powers
+    into, out, *_ = Analysis(
+        HermiteSegments(one.start, one.end, one.left + other.left, one.right + other.right)
+    ).parts()
+    return into, out
 
 
 def _needs(figure: str, found: Assessment, given: Assessment) -> Iterator[tuple[float, float, str]]:

@@ -30,7 +30,7 @@ TRACE = 601
 
 UNITS: Mapping[str, str] = {
     "torque": "N.m", "speed": "rad/s", "acceleration": "rad/s2", "jerk": "rad/s3", "rms_torque": "N.m", "power": "W",
-    "reaction": "N", "stress": "Pa", "off_path": "m", "residual": "m", "clearance": "m",
+    "energy": "J", "supply_power": "W", "regenerated_power": "W", "reaction": "N", "stress": "Pa", "off_path": "m", "residual": "m", "clearance": "m",
 }  # fmt: skip
 """Limit → unit."""
 
@@ -175,7 +175,7 @@ def goals_of(scene: Scene) -> Goals:
         if isinstance(value, Ratio)
         else Limit(name, value, UNITS[name], rounding=MET)
         for name in type(wishes.limits).model_fields
-        if (value := getattr(wishes.limits, name)) is not None
+        if (value := getattr(wishes.limits, name)) not in (None, "free")
     }
     return Goals(longer, wishes, limits, _clearance(longer, wishes), 0.0 if empty else None)
 

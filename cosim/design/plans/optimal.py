@@ -60,7 +60,10 @@ start: a slower one has room to reach the limits."""
 RETURN = 1e-6
 """Distance from start to end [m] below which a motion returns."""
 
-WITH_TORQUE = ("rms_torque", "power", "reaction", "stress")
+LOADS = ("rms_torque", "power", "energy", "supply_power", "regenerated_power")
+"""Limits of the motors besides the torque, which the programmes have."""
+
+WITH_TORQUE = ("reaction", "stress")
 """Limits that the programmes don't know, which fall with the torques."""
 
 
@@ -136,7 +139,7 @@ def optimal(
 def excesses(judged: Assessment) -> Mapping[str, float]:
     """Factors above 1 by which limits of the programmes have to be tighter, and by how much ``clearance`` [m], after a motion's runs.
 
-    Torques also stand for limits that the programmes don't know, of power, forces and stresses, which fall with them. None if the
+    Torques also stand for limits that the programmes don't know, of forces and stresses, which fall with them. None if the
     motion keeps all limits, and if it is too far off: through a wall, or where distances from the path are limited.
     """
     missed = {use.figure: use for use in judged.uses if not use.met}
@@ -146,7 +149,7 @@ def excesses(judged: Assessment) -> Mapping[str, float]:
     found = dict[str, float]()
     for name, use in missed.items():
         limit = "torque" if name in WITH_TORQUE else name
-        found[limit] = max(found.get(limit, 1.0), SURE * use.share)
+        found[limit] = max(found.get(limit, 1.0), min(SURE * use.share, 2.0 * use.share - 0.999))
     return found if clearance is None else {**found, "clearance": SURE * clearance.value - clearance.limit}
 
 
@@ -157,10 +160,7 @@ def tightened(limits: optimal_control.MotionLimits, excess: Mapping[str, float])
         distance, gradient = limits.distances(points)
         return distance - excess.get("clearance", 0.0), gradient
 
-    names = ("torque", *RATES, "residual")
-    return replace(
-        limits, distances=distances, **{name: getattr(limits, name) / excess.get(name, 1.0) for name in names}
-    )
+    return replace(limits.tightened(excess), distances=distances)
 
 
 def fuller_scene(scene: Scene) -> Scene | None:
@@ -192,18 +192,29 @@ def _limits(goals: Goals, given: Assessment, robots: Sequence[Sequence[RobotVari
         distance, gradient = goals.clearance.distances(points)
         return distance + clear * goals.wishes.margin, gradient
 
-    torque = share * goals.limit("torque", np.vstack([_given_torques(goals, each) for each in robots]))
-    return optimal_control.MotionLimits(torque, speed, acceleration, jerk, quiet * goals.wishes.residual, distances)
+    given_loads = [_given_loads(goals, each) for each in robots]
+    loads = {name: np.concatenate([each[name] for each in given_loads]) for name in given_loads[0]}
+    loads = {name: share * goals.limit(name, usual) for name, usual in loads.items()}
+    torque = loads.pop("torque")
+    pause = goals.scene.trajectory.dwell
+    return optimal_control.MotionLimits(
+        torque, speed, acceleration, jerk, quiet * goals.wishes.residual, distances, loads, pause
+    )
 
 
-def _given_torques(goals: Goals, robots: Sequence[RobotVariant]) -> RealArray:
-    """The largest torques of the given motion (P, 2) [N m]."""
-    joints = goals.given.once.joints
-    start = joints.evaluate([0.0], 0, "right")[0, 0]
-    response = ElasticResponse(robots[0].scene, [each.changes for each in robots], start, GIVEN_STEPS)
-    references = joints.evaluate(response.fractions * joints.duration, 2, "left")
-    torque = response.respond(np.hstack(list(references)), joints.duration).torque
-    return np.asarray(np.abs(torque).max(axis=1))
+def _given_loads(goals: Goals, robots: Sequence[RobotVariant]) -> dict[str, RealArray]:
+    """The largest torques of the given motion (P, 2) [N m], and its other loads that are limited, (P, 2) or (P,)."""
+    motion, names = goals.given.once, ["torque", *(name for name in LOADS if name in goals.limits)]
+    ends = motion.joints.evaluate([0.0, motion.duration], 0, "right")[0]
+    response = ElasticResponse(robots[0].scene, [each.changes for each in robots], ends[0], GIVEN_STEPS)
+    references = motion.joints.evaluate(response.fractions * motion.duration, 2, "left")
+    torque = response.respond(np.hstack(list(references)), motion.duration).torque
+    holding = response.model.rest(ends[1]).torque
+    motors = optimal_control.MotorLoads(response.fractions, holding, goals.scene.trajectory.dwell)
+    found = motors.of_speeds(names, references[1], motion.duration, torque)
+    return {
+        name: each if name in optimal_control.OF_MOTION else np.abs(each).max(axis=1) for name, each in found.items()
+    }
 
 
 def flexible(

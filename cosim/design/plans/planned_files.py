@@ -127,7 +127,7 @@ def summary(result: PlanResult) -> dict[str, Any]:
             "motion": each.candidate.label,
             "method": each.candidate.method,
             **{name: float(getattr(each, name)) for name in FRONT},
-            "rms_torque": float(each.rms_torque),
+            **{name: float(getattr(each, name)) for name in ("rms_torque", "power", "supply_power", "regenerated_power")},
             "clearance": float(each.clearance) if np.isfinite(each.clearance) else None,
             "feasible": each.feasible,
             "limits": [
@@ -191,6 +191,9 @@ def summary_table(result: PlanResult) -> Table:
         "Residual vibration [µm]": (1e6 * given.residual, 1e6 * chosen.residual),
         "Peak torque [N·m]": (given.torque, chosen.torque),
         "RMS torque [N·m]": (given.rms_torque, chosen.rms_torque),
+        "Power of a motor [W]": (given.power, chosen.power),
+        "Power of the supply [W]": (given.supply_power, chosen.supply_power),
+        "Power back [W]": (given.regenerated_power, chosen.regenerated_power),
         "Energy [J]": (given.energy, chosen.energy),
         "Off the path [mm]": (1e3 * given.off_path, 1e3 * chosen.off_path),
         **{
@@ -224,11 +227,11 @@ def front_table(result: PlanResult) -> Table:
     rows = [
         [
             each.candidate.label, each.candidate.method, f"{each.time:.4g}", f"{1e6 * each.residual:.3g}", f"{each.torque:.4g}",
-            f"{each.energy:.4g}", f"{1e3 * each.off_path:.3g}", standing(result, each),
+            f"{each.rms_torque:.4g}", f"{each.power:.4g}", f"{each.energy:.4g}", f"{1e3 * each.off_path:.3g}", standing(result, each),
         ]
         for each in result.table
     ]  # fmt: skip
-    units = ["Time [s]", "Residual [µm]", "Torque [N·m]", "Energy [J]", "Off path [mm]"]
+    units = ["Time [s]", "Residual [µm]", "Torque [N·m]", "RMS [N·m]", "Power [W]", "Energy [J]", "Off path [mm]"]
     note = "No other motion found beats one of these in every figure."
     if len(result.table) > len(result.front):
         note = "Motions that no other one beats in every figure, and for comparison those of other planners and files."

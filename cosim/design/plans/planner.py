@@ -46,6 +46,9 @@ FRONT = ("time", "residual", "torque", "energy", "off_path")
 DRAWN: Mapping[str, tuple[float, str]] = {"residual": (1e6, "µm"), "off_path": (1e3, "mm")}
 """Figures that diagrams have in another unit: factor and unit."""
 
+BINDING = 0.98
+"""Used share of a limit from which on the verdict names it."""
+
 MANY = 20.0
 """Ratio of the largest to the smallest value from which on a diagram is logarithmic."""
 
@@ -87,7 +90,7 @@ class PlanResult(Rows):
         """Return the chosen motion beside the given one, in a few lines."""
         lines = [f"PlanResult of {self.goals.scene.name}: {self.chosen.candidate.label}"]
         chosen, given = self.chosen.metrics, self.given.metrics
-        for name in FRONT:
+        for name in (*FRONT, "rms_torque", "power"):
             unit = shown_unit(chosen[name].unit)
             lines.append(f"  {name}: {chosen[name]:.4g} {unit} (given {given[name]:.4g} {unit})")
         return "\n".join([*lines, f"  {self.verdict}"])
@@ -139,8 +142,10 @@ class PlanResult(Rows):
     def verdict(self) -> str:
         """Whether the chosen motion keeps to all limits, in a sentence."""
         if not self.missed:
-            closest = max(self.chosen.uses, key=lambda use: use.share)
-            return f"all limits are kept; the closest is {closest.name}: {closest.value:.4g} of {closest.limit:.4g}"
+            uses = sorted(self.chosen.uses, key=lambda use: -use.share)
+            closest = [use for use in uses if use is uses[0] or use.share > BINDING]
+            listed = ", ".join(f"{use.name} {use.value:.4g} of {use.limit:.4g} ({use.where})" for use in closest)
+            return f"all limits are kept; the closest {'is' if len(closest) == 1 else 'are'} {listed}"
         listed = ", ".join(
             f"{use.name} {use.value:.4g} instead of {use.limit:.4g} ({use.where})" for use in self.missed
         )
@@ -149,7 +154,7 @@ class PlanResult(Rows):
 
     def row_units(self) -> Mapping[str, str]:
         """Figure → unit."""
-        return {name: FIGURES[name][1] for name in FRONT}
+        return {name: FIGURES[name][1] for name in (*FRONT, "rms_torque", "power")}
 
     def plot(self) -> Figure:
         """What all motions need: each figure over the motion's time; those that miss a limit are hollow."""
@@ -185,7 +190,7 @@ class PlanResult(Rows):
             {
                 "motion": each.candidate.label,
                 "method": each.candidate.method,
-                **{name: float(getattr(each, name)) for name in FRONT},
+                **{name: float(getattr(each, name)) for name in (*FRONT, "rms_torque", "power")},
                 "torque_ratio": float(each.torque_ratio),
                 "feasible": each.feasible,
             }

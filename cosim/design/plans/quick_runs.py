@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import inf, log
+from math import log
 from pathlib import Path
 
 import numpy as np
@@ -220,9 +220,10 @@ class Bounds:
         residual: largest residual vibration [m].
         settled_within: time after the motion from which it holds [s].
         torque: (V, 2) largest torque of each motor with each variant [N.m]; infinite without a limit.
-        others: name → largest value, of `FIGURES`.
+        others: name → largest value of each of `Score.loads`, and of speed, acceleration and jerk.
         distance: signed distances (N,) of positions (N, 2) [m] from the keep-out region, negative inside; None without one.
         margin: by how much the end effector may come nearer [m].
+        pause: standstill after the motion that RMS torques contain [s].
         passage: how far a way through positions (N, 2) [m] would have to move to go around what it passes through [m].
     """
 
@@ -230,9 +231,10 @@ class Bounds:
     residual: float
     settled_within: float
     torque: RealArray
-    others: Mapping[str, float] = field(default_factory=dict)
+    others: Mapping[str, RealArray] = field(default_factory=dict)
     distance: Callable[[RealArray], RealArray] | None = None
     margin: float = 0.0
+    pause: float = 0.0
     passage: Callable[[RealArray], float] | None = None
 
 
@@ -250,18 +252,30 @@ class Score:
 
     @cached_property
     def values(self) -> Mapping[str, float]:
-        """``time`` [s], ``residual`` [m], ``torque`` and ``rms_torque`` [N.m], ``energy`` without what motors take back
-        [J], ``power`` [W], and ``speed``, ``acceleration``, ``jerk`` of the joints [rad/s ...]."""
-        run, step = self.run, self.run.time[1] - self.run.time[0]
-        moving = run.torque[:, : run.moving]
+        """``time`` [s], ``residual`` [m], ``torque`` [N.m], all `loads`, and ``speed``, ``acceleration``, ``jerk`` of the joints
+        [rad/s ...]."""
+        run = self.run
         return {
             "time": run.motion.duration,
             "residual": float(run.residuals(self.bounds.settled_within).max()),
             "torque": float(run.peak_torques.max()),
-            "energy": float(np.maximum(run.powers, 0.0).sum(axis=(1, 2)).max() * step),
-            "rms_torque": float(np.sqrt((moving**2).mean(axis=1)).max()),
-            "power": float(np.abs(run.powers).max()),
+            **{name: float(each.max()) for name, each in self.loads.items()},
             **dict(zip(("speed", "acceleration", "jerk"), run.motion.peaks.tolist(), strict=True)),
+        }
+
+    @cached_property
+    def loads(self) -> Mapping[str, RealArray]:
+        """``power`` [W] and ``rms_torque`` [N.m] of each variant and motor (V, 2), ``energy`` without what motors take back [J],
+        ``supply_power`` and ``regenerated_power`` [W] of both motors (V,)."""
+        run, step, pause = self.run, self.run.time[1] - self.run.time[0], self.bounds.pause
+        duration, both = run.motion.duration, run.powers.sum(axis=2)
+        square = duration * (run.torque[:, : run.moving] ** 2).mean(axis=1) + pause * run.torque[:, -1] ** 2
+        return {
+            "power": np.abs(run.powers).max(axis=1),
+            "rms_torque": np.sqrt(square / (duration + pause)),
+            "energy": np.maximum(run.powers, 0.0).sum(axis=(1, 2)) * step,
+            "supply_power": np.maximum(both.max(axis=1), 0.0),
+            "regenerated_power": np.maximum(-both.min(axis=1), 0.0),
         }
 
     @cached_property
@@ -274,9 +288,10 @@ class Score:
         run, bounds = self.run, self.bounds
         found = {"torque": _both((run.torque[:, : run.moving] / bounds.torque[:, None]).ravel())}
         for name, limit in bounds.others.items():
-            if limit < inf:
-                rates = self._rates.get(name)
-                found[name] = np.array([self.values[name] / limit]) if rates is None else _both(rates.ravel() / limit)
+            if name in self.loads and name != "power":
+                found[name] = (self.loads[name] / limit).ravel()
+            else:
+                found[name] = _both((self._rates[name] / (limit[:, None] if name == "power" else limit)).ravel())
         if bounds.minimise != "residual":
             vibration = run.vibration(bounds.settled_within)
             found["residual"] = (vibration @ DIRECTIONS).ravel() / bounds.residual
@@ -304,7 +319,7 @@ class Score:
 
     def forget(self) -> None:
         """Drop the rows, which take a megabyte and a few milliseconds to calculate again."""
-        for name in ("rows", "minimised", "_rates"):
+        for name in ("rows", "minimised", "_rates", "loads"):
             self.__dict__.pop(name, None)
 
     @cached_property

@@ -157,10 +157,13 @@ def _bounds(goals: Goals, robot: QuickRobot, given: MotionPlan) -> Bounds:
     times = np.linspace(0.0, given.duration, robot.steps(given.duration) + 1)
     run = robot.run(JointMotion(times, np.asarray(given.joints.evaluate(times, 2, "left"))))
     wishes, clearance = goals.wishes, goals.clearance
-    free = Bounds(wishes.minimise, wishes.residual, wishes.settled_within, np.full_like(run.peak_torques, inf))
-    usual = {**Score(run, free).values, **dict(zip(RATES, peak_rates(given.joints, INSTANTS).tolist(), strict=True))}
+    pause = goals.scene.trajectory.dwell
+    free = Bounds(
+        wishes.minimise, wishes.residual, wishes.settled_within, np.full_like(run.peak_torques, inf), pause=pause
+    )
+    usual = {**Score(run, free).loads, **dict(zip(RATES, peak_rates(given.joints, INSTANTS), strict=True))}
     limits = {
-        name: CLOSE.get(name, 1.0) * float(limit.resolved(np.array(usual[name])))
+        name: CLOSE.get(name, 1.0) * limit.resolved(usual[name])
         for name, limit in goals.limits.items()
         if name in usual and name != "torque"
     }
@@ -170,7 +173,7 @@ def _bounds(goals: Goals, robot: QuickRobot, given: MotionPlan) -> Bounds:
     distance = clearance.distance if bounded else None
     return Bounds(
         wishes.minimise, wishes.residual, wishes.settled_within, largest, limits, distance, wishes.margin,
-        clearance.passage if clearance.thin and bounded else None,
+        pause, clearance.passage if clearance.thin and bounded else None,
     )  # fmt: skip
 
 

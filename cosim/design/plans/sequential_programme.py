@@ -43,7 +43,8 @@ GOOD, GROWTH, SHRINKAGE = 0.5, 2.0, 0.35
 CORRECTIONS = 4
 """How often the time of a motion is corrected until its limits hold."""
 
-POWERS = {"torque": 0.5, "speed": 1.0, "acceleration": 0.5, "jerk": 1.0 / 3.0, "power": 1.0 / 3.0, "rms_torque": 0.5}
+POWERS = {"torque": 0.5, "speed": 1.0, "acceleration": 0.5, "jerk": 1.0 / 3.0, "power": 1.0 / 3.0, "rms_torque": 0.5,
+    "energy": 0.5, "supply_power": 1.0 / 3.0, "regenerated_power": 1.0 / 3.0}  # fmt: skip
 """How the time scales with the use of a limit."""
 
 RESIDUAL, MOST = 0.1, 1.5

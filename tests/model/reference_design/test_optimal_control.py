@@ -13,11 +13,13 @@ from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.optimal_control import (
+    GROUPS,
     Aim,
     Effort,
     Improvement,
     LimitRows,
     MotionLimits,
+    MotorLoads,
     ResidualVibration,
     optimal_motion,
 )
@@ -93,7 +95,15 @@ def test_derivatives_of_the_limits_are_those_of_finite_differences(
 ) -> None:
     motion = given.with_duration(0.25)
     elastic = ElasticResponse(scene, variants[::2], motion.coefficients[0], 32)
-    rows = LimitRows(MotionLimits(limits.torque[::2], 20.0, 500.0, 4e4, 2e-6, above), motion.degree, motion.intervals)
+    motors = MotorLoads(elastic.fractions, elastic.model.rest(motion.coefficients[-1]).torque, 0.2)
+    names = set(GROUPS[6:])
+    loads = {
+        name: np.full(shape, 0.9 * abs(each).max())
+        for name, each in motors.values(names, motion, elastic.of_spline(motion)).items()
+        for shape in [(2, 2) if "torque" in name or name == "power" else (2,)]
+    }
+    own = MotionLimits(limits.torque[::2], 20.0, 500.0, 4e4, 2e-6, above, loads, 0.2)
+    rows = LimitRows(own, motion.degree, motion.intervals, motors)
     found = rows.rows(motion, elastic.of_spline(motion))
     direction = 1e-6 * np.random.default_rng(0).standard_normal(2 * rows.free + 1)
 
@@ -104,20 +114,35 @@ def test_derivatives_of_the_limits_are_those_of_finite_differences(
         return rows.values(other, elastic.of_spline(other, derivatives=False))[0]
 
     difference, exact = 0.5 * (moved(1) - moved(-1)), found.jacobian @ direction
+    assert {GROUPS[k] for k in found.groups[found.values > 0.0]} >= names
     # signs of torques change at zero alone, where no limit is near
     clear = found.values > -0.99
     np.testing.assert_allclose(difference[clear], exact[clear], atol=2e-4 * abs(exact).max())
 
 
-def test_the_predicted_residual_bounds_that_of_the_fmu(scene: Scene, given: JointSpline) -> None:
+def test_residual_and_loads_of_the_motors_are_those_of_the_fmu(scene: Scene, given: JointSpline) -> None:
+    """The residual is bounded; torques, powers, RMS torques over motion and dwell and energies agree, also between instants of the grid."""
     motion = given.with_duration(0.3)
     elastic = ElasticResponse(scene, [{}], motion.coefficients[0], 128)
-    bound = ResidualVibration([elastic.model], motion.coefficients[-1]).largest(
-        elastic.of_spline(motion, derivatives=False).end
+    response, vibration = (
+        elastic.of_spline(motion, derivatives=False),
+        ResidualVibration([elastic.model], motion.coefficients[-1]),
     )
-    run = flexfmu.run(scene, trajectory=motion.trajectory(), tolerance=1e-8)
-    residual = float(run.metrics["residual_vibration_amplitude"])
+    bound = vibration.largest(response.end)
+    metrics = flexfmu.run(scene, trajectory=motion.trajectory(), tolerance=1e-8).metrics
+    residual = float(metrics["residual_vibration_amplitude"])
     assert 0.4 * bound[0] < residual < 1.02 * bound[0]
+    motors = MotorLoads(elastic.fractions, vibration.holding, scene.trajectory.dwell)
+    found = motors.values(("torque", "power", "rms_torque", "energy"), motion, response)
+    for joint in range(2):
+        of_joint = [float(metrics[f"{name}_{joint + 1}"]) for name in ("peak_torque", "rms_torque")]
+        assert [abs(found["torque"][0, :, joint]).max(), found["rms_torque"][0, joint]] == pytest.approx(
+            of_joint, rel=2e-3
+        )
+        powers = [float(metrics[f"{name}_{joint + 1}"]) for name in ("peak_power", "peak_regenerated_power")]
+        assert [found["power"][..., joint].max(), -found["power"][..., joint].min()] == pytest.approx(powers, rel=2e-3)
+    energy = sum(float(metrics[f"positive_energy_{joint}"]) for joint in (1, 2))
+    assert found["energy"][0] == pytest.approx(energy, rel=1e-3)
 
 
 @pytest.mark.slow

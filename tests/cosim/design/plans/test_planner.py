@@ -35,7 +35,8 @@ from flexfmu.trajectories.table import write_table
 pytestmark = pytest.mark.slow
 
 FEW = {"effects.proximal_bending": 1, "effects.distal_axial": 1}
-SCENE = load_scene("barnard2012-6kg").replace(FEW)
+FREE = {"plan.limits.power": "free", "plan.limits.rms_torque": "free"}
+SCENE = load_scene("barnard2012-6kg").replace(FEW | FREE)
 GOALS = goals_of(SCENE)
 SPLINE = fitted(GOALS.given.joints, 28)
 
