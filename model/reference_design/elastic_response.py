@@ -12,8 +12,9 @@ Derived values of the parameters are arguments of the functions, so that all var
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from itertools import groupby
 
 import casadi
@@ -28,10 +29,17 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.model.vectorised import Vectorised
 from flexfmu.trajectories.jets import RealArray
 
+PointFunction = Callable[[Sequence[RealArray]], list[RealArray]]
+"""Arguments (N, size), one row for each point → results (N, size)."""
+
+Evaluate = Callable[[casadi.Function], PointFunction]
+"""Makes a function of N points from one of scalar operations with dense vectors."""
+
 METHOD = radau(3)
 
-CONVERGED = 1e-11
-"""Newton's method has converged when no elastic coordinate changes by more [m or rad]; positions are wanted to 1e-7 m."""
+CONVERGED, NEARLY = 1e-11, 1e-9
+"""Newton's method has converged when no elastic coordinate changes by more [m or rad]; positions are wanted to 1e-7 m. The second is for
+motions that are only compared: the last change is an order of magnitude smaller than the one before."""
 
 ITERATIONS = 30
 """Largest number of Newton steps, of a motion or to a static equilibrium; three are usual for the latter."""
@@ -68,15 +76,25 @@ class ElasticResponse:
         variants: values of the FMU's parameters that differ from the scene's, by name, ``{"payload.mass": 4.2}`` for example.
         start: joint angles before the motion (2,) [rad].
         steps: number of equal steps of the integration.
+        evaluate: makes functions that are evaluated at many points at once, by numpy or compiled.
+        accuracy: change of an elastic coordinate [m or rad] below which Newton's method ends.
 
     Raises:
         SceneError: a parameter doesn't exist.
         EquilibriumError: there is no static equilibrium at the start.
     """
 
-    def __init__(self, scene: Scene, variants: Sequence[Mapping[str, float]], start: RealArray, steps: int) -> None:
-        self.model = VariantModel(scene, variants)
-        self.steps = steps
+    def __init__(
+        self,
+        scene: Scene,
+        variants: Sequence[Mapping[str, float]],
+        start: RealArray,
+        steps: int,
+        evaluate: Evaluate = Vectorised,
+        accuracy: float = CONVERGED,
+    ) -> None:
+        self.model = VariantModel(scene, variants, evaluate)
+        self.steps, self._accuracy = steps, accuracy
         self.fractions = ((np.arange(steps)[:, np.newaxis] + METHOD.nodes) / steps).ravel()
         self._start = self.model.rest(start).elastic
         # stage values z and the matrices from which the next solution starts
@@ -131,12 +149,12 @@ class ElasticResponse:
             change = matrices.solved(self._values(z, references, duration)[..., :n])
             size = float(np.abs(self._integrated(change, 0.0)[0]).max(initial=0.0))
             z = z - change
-            if size < CONVERGED:
+            if size < self._accuracy:
                 self._guess = z
                 return z
             if not np.isfinite(size) or size > 1.0:
                 break
-            if size > RENEWED * before:
+            if size > (RENEWED if self._accuracy == CONVERGED else 3.0 * RENEWED) * before:
                 matrices = self._renewed(z, references, duration)
             before = size
         # the next motion starts anew
@@ -264,7 +282,8 @@ class FleetResponse:
     def __init__(self, robots: Sequence[RobotVariant], start: RealArray, steps: int) -> None:
         groups = [[*group] for _, group in groupby(robots, key=lambda each: id(each.scene))]
         self.parts = [
-            ElasticResponse(group[0].scene, [each.changes for each in group], start, steps) for group in groups
+            ElasticResponse(group[0].scene, [each.changes for each in group], start, steps, group[0].evaluate, NEARLY)
+            for group in groups
         ]
         self.fractions = self.parts[0].fractions
 
@@ -306,10 +325,12 @@ class RobotVariant:
     Attributes:
         scene: the scene.
         changes: values of the FMU's parameters that differ from the scene's, by name, ``{"payload.mass": 4.2}`` for example.
+        evaluate: makes its functions, see `ElasticResponse`.
     """
 
     scene: Scene
     changes: Mapping[str, float]
+    evaluate: Evaluate = Vectorised
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,23 +371,16 @@ class VariantModel:
     Args:
         scene: the robot.
         variants: values of the FMU's parameters that differ from the scene's, by name.
+        evaluate: makes functions that are evaluated at many points at once.
 
     Raises:
         SceneError: a parameter doesn't exist.
     """
 
-    def __init__(self, scene: Scene, variants: Sequence[Mapping[str, float]]) -> None:
-        five_bar = assemble(scene)
-        motion = five_bar.motion
-        self.n = motion.q_e.numel()
-        self.parameters = _derived(five_bar, variants, scene.name)
-        arguments = [motion.q_e, motion.v_e, motion.a_e, casadi.vertcat(motion.q_a, motion.v_a, motion.a_a)]
-        results = casadi.densify(casadi.vertcat(five_bar.forces.elastic, five_bar.forces.motors, five_bar.position))
-        jacobian = casadi.densify(casadi.jacobian(results, casadi.vertcat(*arguments)))
-        parameters = five_bar.registry.d
-        self._values = Vectorised(casadi.Function("values", [*arguments, parameters], [casadi.cse(results)]))
-        linear = casadi.Function("linear", [*arguments, parameters], casadi.cse([results, jacobian]))
-        self._linear = Vectorised(linear)
+    def __init__(self, scene: Scene, variants: Sequence[Mapping[str, float]], evaluate: Evaluate = Vectorised) -> None:
+        functions = _functions(scene, evaluate)
+        self.n, self._values, self._linear = functions.n, functions.values, functions.linear
+        self.parameters = functions.parameters(variants)
 
     def values(self, q: RealArray, v: RealArray, a: RealArray, references: RealArray) -> RealArray:
         """[forces, torques, position] at N instants of all variants, (P, N, n + 4).
@@ -410,7 +424,7 @@ class VariantModel:
         )
 
     def _evaluated(
-        self, function: Vectorised, q: RealArray, v: RealArray, a: RealArray, references: RealArray
+        self, function: PointFunction, q: RealArray, v: RealArray, a: RealArray, references: RealArray
     ) -> list[RealArray]:
         """The results of a function at all instants, each (P, N, size)."""
         count, instants, _ = q.shape
@@ -432,12 +446,41 @@ def free_modes(rest: Rest) -> FreeModes:
     return FreeModes(frequencies, coordinates, displacements)
 
 
-def _derived(five_bar: FiveBar, variants: Sequence[Mapping[str, float]], name: str) -> RealArray:
-    """Derived values of the variants' parameters (P, n_derived)."""
-    registry = five_bar.registry
-    derive = casadi.Function("derive", [registry.p], [registry.resolved()])
-    start = {variable.name: float(variable.start or 0.0) for variable in registry.variables}
-    for variant in variants:
-        for key in variant.keys() - start.keys():
-            raise SceneError(f"scene {name} has no parameter `{key}`; it has {', '.join(start)}")
-    return np.array([derive(list((start | dict(variant)).values())).full().ravel() for variant in variants])
+@dataclass(frozen=True, eq=False)
+class _Functions:
+    """Functions of a scene's robot, for all values of its parameters.
+
+    Attributes:
+        scene, five_bar: the robot.
+        n: number of elastic coordinates.
+        values: [forces, torques, position] by [q], [v], [a], [q_a, v_a, a_a] and the derived parameters.
+        linear: the same, and their derivatives by all but the parameters.
+    """
+
+    scene: Scene
+    five_bar: FiveBar
+    n: int
+    values: PointFunction
+    linear: PointFunction
+
+    def parameters(self, variants: Sequence[Mapping[str, float]]) -> RealArray:
+        """Derived values of the variants' parameters (P, n_derived)."""
+        registry = self.five_bar.registry
+        derive = casadi.Function("derive", [registry.p], [registry.resolved()])
+        start = {variable.name: float(variable.start or 0.0) for variable in registry.variables}
+        for variant in variants:
+            for key in variant.keys() - start.keys():
+                raise SceneError(f"scene {self.scene.name} has no parameter `{key}`; it has {', '.join(start)}")
+        return np.array([derive(list((start | dict(variant)).values())).full().ravel() for variant in variants])
+
+
+@lru_cache(maxsize=8)
+def _functions(scene: Scene, evaluate: Evaluate) -> _Functions:
+    five_bar = assemble(scene)
+    motion, parameters = five_bar.motion, five_bar.registry.d
+    arguments = [motion.q_e, motion.v_e, motion.a_e, casadi.vertcat(motion.q_a, motion.v_a, motion.a_a)]
+    results = casadi.densify(casadi.vertcat(five_bar.forces.elastic, five_bar.forces.motors, five_bar.position))
+    jacobian = casadi.densify(casadi.jacobian(results, casadi.vertcat(*arguments)))
+    values = casadi.Function("values", [*arguments, parameters], [casadi.cse(results)])
+    linear = casadi.Function("linear", [*arguments, parameters], casadi.cse([results, jacobian]))
+    return _Functions(scene, five_bar, motion.q_e.numel(), evaluate(values), evaluate(linear))

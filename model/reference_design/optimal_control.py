@@ -152,6 +152,10 @@ class MotorLoads:
         }
         return {name: find[name]() for name in names}
 
+    def speed_derivatives(self, motion: JointSpline) -> RealArray:
+        """Derivatives of the joint speeds (N, 2, m)."""
+        return spline_derivatives(motion, self._fractions)[:, 2:4]
+
     def derivatives(self, names: Iterable[str], motion: JointSpline, response: Response) -> dict[str, RealArray]:
         """Their derivatives by the m variables, in one more dimension."""
         torque, by, duration = response.torque, response.torque_by, motion.duration
@@ -159,7 +163,7 @@ class MotorLoads:
         names = [name for name in names if name != "torque"]
         if not names:
             return found
-        speed, speed_by = motion.evaluate(self._fractions, 1)[1], spline_derivatives(motion, self._fractions)[:, 2:4]
+        speed, speed_by = motion.evaluate(self._fractions, 1)[1], self.speed_derivatives(motion)
         power, power_by = torque * speed, by * speed[..., np.newaxis] + torque[..., np.newaxis] * speed_by
         for name in names:
             if name == "power":
@@ -241,6 +245,35 @@ class LimitRows:
         found.append((-np.einsum("kpnj,pnjm->kpnm", gradient, response.position_by) / DEPTH).reshape(-1, m))
         deciding = [_deciding(name, each).ravel() for name, each in self._parts(motion, response)]
         return Inequalities(*self.values(motion, response), np.concatenate(found), np.concatenate(deciding))
+
+    def curvature(self, motion: JointSpline, response: Response, prices: RealArray) -> RealArray:
+        """The curvature (m, m) of the loads, each row's by its price (R,), its positive part.
+
+        Torques and speeds count as linear (Gauss-Newton): mean squares of torques, and products of torques and speeds are curved.
+        """
+        by, speed_by = response.torque_by, self._motors.speed_derivatives(motion)
+        squares, products = np.zeros(response.torque.shape), np.zeros(response.torque.shape)
+        first, share = 0, motion.duration * self._motors.weights[:, np.newaxis]
+        for name, each in self._parts(motion, response):
+            price, first = prices[first : first + each.size].reshape(each.shape), first + each.size
+            if name in self.limits.loads and price.any():
+                price = price / self._units[name]
+                if name == "rms_torque":
+                    root = (each + 1.0) * self._units[name]
+                    squares += (price / (root * (motion.duration + self.limits.pause)))[:, np.newaxis] * share
+                    continue
+                power = self._motors.values(["power"], motion, response)["power"]
+                if name == "power":
+                    products += np.sign(power) * price
+                elif name == "energy":
+                    products += price[:, np.newaxis, np.newaxis] * share * (power > 0.0)
+                else:
+                    products += ((1.0 if name == "supply_power" else -1.0) * price)[..., np.newaxis]
+        found = np.einsum("pnj,pnja,pnjb->ab", squares, by, by, optimize=True)
+        p, n, j = np.nonzero(products)
+        cross = (products[p, n, j, np.newaxis] * by[p, n, j]).T @ speed_by[n, j]
+        values, vectors = np.linalg.eigh(found + cross + cross.T)
+        return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
     def _parts(self, motion: JointSpline, response: Response) -> list[tuple[str, RealArray]]:
         """The group of each part of the rows, and g."""
@@ -429,6 +462,7 @@ class Stage:
         if aim != "time":
             self._effort = Effort(aim, start, elastic.of_spline(start, derivatives=False), elastic.fractions)
         self.price, self.penalty = PRICES[0], PENALTY[0]
+        self._prices: RealArray | None = None
         self.vibration = ResidualVibration([part.model for part in elastic.parts], start.coefficients[-1])
         motors = MotorLoads(elastic.fractions, self.vibration.holding, limits.pause)
         self.rows = LimitRows(limits, start.degree, start.intervals, motors)
@@ -471,6 +505,8 @@ class Stage:
             slope[-1] = 1.0 / self.unit
         else:
             slope, curvature = self._effort.derivatives(motion, response)
+        if self._prices is not None:
+            curvature = curvature + self.rows.curvature(motion, response, self._prices)
         return Linear(self.rows.rows(motion, response), reached, by, slope, curvature)
 
     def corrected(self, linear: Linear, step: RealArray, state: State) -> Linear:
@@ -481,7 +517,10 @@ class Stage:
         return replace(linear, rows=shifted, amplitudes=amplitudes)
 
     def step(self, linear: Linear, penalty: float) -> tuple[RealArray, float]:
-        """The best step (m,) and the change of the cost, with the price of what isn't met after it, as they predict."""
+        """The best step (m,) and the change of the cost, with the price of what isn't met after it, as they predict.
+
+        The multipliers of the rows are kept: they weigh the curvature of the next programme.
+        """
         rows, (variants, _, modes, m) = linear.rows, linear.amplitudes_by.shape
         near = np.flatnonzero(rows.deciding & (rows.values > np.where(rows.groups == CLEARANCE, -FAR, -NEAR)))
         slacks, planes = len(GROUPS), len(DIRECTIONS) * variants * modes
@@ -508,9 +547,12 @@ class Stage:
             cost[m - 1], quadratic[m - 1, : m - 1], quadratic[: m - 1, m - 1], matrix[:, m - 1] = 0.0, 0.0, 0.0, 0.0
         lower, upper = np.zeros(size), np.full(size, np.inf)
         lower[:m], upper[:m] = -REACH, REACH
-        x = unit * solve_quadratic(
+        x, prices = solve_quadratic(
             quadratic * unit[:, np.newaxis] * unit, cost * unit, matrix * unit, right, lower, upper
         )
+        x = unit * x
+        self._prices = np.zeros(len(rows.values))
+        self._prices[near] = prices[: len(near)]
         return x[:m], float(cost @ x) + 0.5 * float(x[:m] @ linear.curvature @ x[:m])
 
     def improvements(self, start: JointSpline, iterations: int, penalty: float = PENALTY[0]) -> Iterator[State]:

@@ -25,7 +25,7 @@ DUAL = 1e-3
 
 def solve_quadratic(
     hessian: RealArray, cost: RealArray, matrix: RealArray, right: RealArray, lower: RealArray, upper: RealArray
-) -> RealArray:
+) -> tuple[RealArray, RealArray]:
     """Solve a convex quadratic programme that has a solution.
 
     Args:
@@ -35,7 +35,7 @@ def solve_quadratic(
         lower, upper: bounds (n,), infinite where there is none; lower < upper.
 
     Returns:
-        x (n,).
+        x (n,) and the multipliers of A x <= b (N,), zero or positive.
     """
     n, rows = len(cost), len(right)
     low, high = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
@@ -79,7 +79,7 @@ def solve_quadratic(
                 complement = slack * dual + d_slack * d_dual - (after / gap) ** 3 * gap
         size = 0.995 * min(_longest(slack, d_slack), _longest(dual, d_dual))
         x, slack, dual = x + size * dx, slack + size * d_slack, dual + size * d_dual
-    return x
+    return x, dual[:rows]
 
 
 def _longest(values: RealArray, change: RealArray) -> float:

@@ -221,7 +221,7 @@ def _solved(least: _Rows, kept: Sequence[_Rows]) -> tuple[RealArray, float] | No
     units = np.append(np.abs(matrix[:, :-1]).max(axis=0), 1.0)
     matrix /= units
     count = len(units) - 1
-    solution = solve_quadratic(
+    solution, _ = solve_quadratic(
         np.diag(np.append(np.full(count, CURVED), 0.0)), np.append(np.zeros(count), 1.0), matrix, upper,
         np.append(np.full(count, -LARGEST), 0.0), np.append(np.full(count, LARGEST), np.inf),
     )  # fmt: skip

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from ctypes import CDLL, c_char_p, c_void_p, cast, py_object, pythonapi
+from ctypes import CDLL, c_char_p, c_long, c_void_p, cast, py_object, pythonapi
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
 import casadi
+import numpy as np
 
 from flexfmu.cosim.engine.binding import Evaluation
 from flexfmu.cosim.engine.slave import Call, RealArray
@@ -115,6 +116,63 @@ def _needs_no_python(function: casadi.Function) -> bool:
     return kind in QUIET_FUNCTIONS and not any(function.instruction_id(i) in LOUD_OPERATIONS for i in range(count))
 
 
+class CompiledAtPoints:
+    """A CasADi function of dense vectors, compiled, for many points at once: a drop-in for `flexfmu.model.vectorised.Vectorised`.
+
+    Args:
+        function: the function.
+
+    Raises:
+        MissingCompilerError, CompileError, ArchiveError: as `compile_function`.
+    """
+
+    def __init__(self, function: casadi.Function) -> None:
+        self._sizes = [function.numel_out(i) for i in range(function.n_out())]
+        code, name = _generated(function), function.name()
+        loop = _AT_POINTS.format(
+            name=name,
+            arguments=function.n_in(),
+            results=function.n_out(),
+            given=", ".join(str(function.numel_in(i)) for i in range(function.n_in())),
+            found=", ".join(map(str, self._sizes)),
+            integers=function.sz_iw() + 1,
+            numbers=function.sz_w() + 1,
+        )
+        self._call: Any = CDLL(str(library(name, code + loop, flags=(*EXPORTED_FLAGS, "-O1"))))[f"{name}_at_points"]
+
+    def __call__(self, arguments: Sequence[RealArray]) -> list[RealArray]:
+        """Results (N, size) for arguments (N, size), one row for each point."""
+        rows = [np.ascontiguousarray(each, dtype=float) for each in arguments]
+        found = [np.empty((len(rows[0]), size)) for size in self._sizes]
+        given, wanted = ((c_void_p * len(each))(*(one.ctypes.data for one in each)) for each in (rows, found))
+        self._call(c_long(len(rows[0])), given, wanted)
+        return found
+
+
+_AT_POINTS = """
+CASADI_SYMBOL_EXPORT void {name}_at_points(long count, const casadi_real *const *arguments, casadi_real *const *results) {{
+  const long given[] = {{{given}}}, found[] = {{{found}}};
+  const casadi_real *arg[{arguments}];
+  casadi_real *res[{results}], w[{numbers}];
+  casadi_int iw[{integers}];
+  for (long k = 0; k < count; k++) {{
+    for (int i = 0; i < {arguments}; i++) arg[i] = arguments[i] + k * given[i];
+    for (int i = 0; i < {results}; i++) res[i] = results[i] + k * found[i];
+    {name}(arg, res, iw, w, 0);
+  }}
+}}
+"""
+"""Calls a generated function at one point after the other, whose arguments and results lie in rows."""
+
+
+def _generated(*functions: casadi.Function) -> str:
+    """CasADi's C code of functions, the first of which names the file."""
+    generator = casadi.CodeGenerator(f"{functions[0].name()}.c")
+    for each in functions:
+        generator.add(each)
+    return with_elementary_functions(str(generator.dump()))
+
+
 def compile_function(
     function: casadi.Function,
     *companions: casadi.Function,
@@ -134,10 +192,7 @@ def compile_function(
         CompileError: the compiler fails.
         ArchiveError: neither the cache's folder nor a temporary one can be written.
     """
-    generator = casadi.CodeGenerator(f"{function.name()}.c")
-    for each in (function, *companions):
-        generator.add(each)
-    code = with_elementary_functions(str(generator.dump()))
+    code = _generated(function, *companions)
     called = tuple((c_files or {}).items()), tuple((libraries or {}).items())
     return casadi.external(function.name(), str(library(function.name(), code, *called)))
 
@@ -148,6 +203,7 @@ def library(
     code: str,
     c_files: tuple[tuple[str, str], ...] = (),
     libraries: tuple[tuple[str, SharedLibrary], ...] = (),
+    flags: tuple[str, ...] = EXPORTED_FLAGS,
 ) -> Path:
     """Compile a C file to a shared library, which the cache keeps under the hash of its content; errors as for `compile_function`.
 
@@ -156,12 +212,13 @@ def library(
         code: the C file, generated.
         c_files: further C files and headers, (name, text) each.
         libraries: shared libraries that these call, (name, library) each; they are stored beside the compiled one.
+        flags: of the compiler.
     """
     own = runtime_sources("elementary")
     texts = own | dict(c_files)
     sources = Sources(name, "", "", {f"{name}.c": code}, texts, {}, libraries=dict(libraries), joined=tuple(own))
     platform = native_platform()
-    content = compile_library(sources, find_compiler(platform), generated_flags=EXPORTED_FLAGS)
+    content = compile_library(sources, find_compiler(platform), generated_flags=flags)
     for beside, each in libraries:
         store(f"blocks/{beside}", each.content)
     file = f"blocks/{content_hash([content])}{platform.suffix}"

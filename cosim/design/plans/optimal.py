@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import RATES, Goals, Variation
 from flexfmu.cosim.engine.errors import InputError
@@ -94,7 +95,10 @@ def optimal(
     if (scene := fuller_scene(goals.scene)) is not None:
         groups.append((scene, fuller))
         nodes += [len(own) + k for k in _nodes(fuller, FULLER_NODES)]
-    robots = [[RobotVariant(scene, each.changes(scene)) for each in variations] for scene, variations in groups]
+    robots = [
+        [RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in variations]
+        for scene, variations in groups
+    ]
     limits, joints = _limits(goals, found[0], robots), goals.given.once.joints
     judge, wishes = Judge(goals, PAYLOADS[0], journal), goals.wishes
     durations = [share * joints.duration for share in STARTS] if wishes.duration is None else [wishes.duration]
@@ -206,7 +210,9 @@ def _given_loads(goals: Goals, robots: Sequence[RobotVariant]) -> dict[str, Real
     """The largest torques of the given motion (P, 2) [N m], and its other loads that are limited, (P, 2) or (P,)."""
     motion, names = goals.given.once, ["torque", *(name for name in LOADS if name in goals.limits)]
     ends = motion.joints.evaluate([0.0, motion.duration], 0, "right")[0]
-    response = ElasticResponse(robots[0].scene, [each.changes for each in robots], ends[0], GIVEN_STEPS)
+    response = ElasticResponse(
+        robots[0].scene, [each.changes for each in robots], ends[0], GIVEN_STEPS, CompiledAtPoints
+    )
     references = motion.joints.evaluate(response.fractions * motion.duration, 2, "left")
     torque = response.respond(np.hstack(list(references)), motion.duration).torque
     holding = response.model.rest(ends[1]).torque

@@ -77,14 +77,14 @@ def test_quadratic_programmes_without_curvature_have_the_solution_of_linear_ones
     for _ in range(5):
         cost, matrix, right = random.standard_normal(6), random.standard_normal((30, 6)), random.uniform(0.5, 2.0, 30)
         bound = np.full(6, 3.0)
-        x = solve_quadratic(np.zeros((6, 6)), cost, matrix, right, -bound, bound)
+        x, _ = solve_quadratic(np.zeros((6, 6)), cost, matrix, right, -bound, bound)
         assert cost @ x == pytest.approx(linprog(cost, matrix, right, bounds=(-3.0, 3.0)).fun, abs=1e-6)
         assert (matrix @ x - right).max() < 1e-6
 
 
 def test_quadratic_programmes_find_the_nearest_point_of_a_half_space() -> None:
     normal, wished = np.array([3.0, 4.0]), np.array([2.0, 2.0])
-    x = solve_quadratic(
+    x, _ = solve_quadratic(
         np.eye(2), -wished, normal[np.newaxis], np.array([5.0]), np.full(2, -np.inf), np.full(2, np.inf)
     )
     np.testing.assert_allclose(x, wished - (normal @ wished - 5.0) / 25.0 * normal, atol=1e-6)
