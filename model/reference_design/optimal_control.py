@@ -142,7 +142,7 @@ class MotorLoads:
         """The figures for joint speeds (N, 2) [rad/s], a duration [s] and torques (P, N, 2) [N m]."""
         power = torque * speed
         square = np.einsum("n,pnj->pj", duration * self.weights, torque**2) + self._pause * np.square(self._holding)
-        find = {
+        find: dict[str, Callable[[], RealArray]] = {
             "torque": lambda: torque,
             "power": lambda: power,
             "rms_torque": lambda: np.sqrt(square / (duration + self._pause)),
@@ -407,7 +407,7 @@ class Effort:
 
     def _figures(self, motion: JointSpline, response: Response) -> RealArray:
         """Torques, or for the energy powers, (P, N, 2), relative to the largest of the first motion."""
-        return self._motors.values([self._name], motion, response)[self._name] / self._largest
+        return np.asarray(self._motors.values([self._name], motion, response)[self._name] / self._largest)
 
     def _costs(self, y: RealArray) -> tuple[RealArray, RealArray, RealArray]:
         """A convex function of figures, with its first and second derivatives."""

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.optimize import root
 
+from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.model import link_effects, vectorised
 from flexfmu.model.beams import scene_shapes
 from flexfmu.model.five_bar import assemble
@@ -391,6 +392,8 @@ def test_all_operations_are_those_of_casadi(monkeypatch: pytest.MonkeyPatch) -> 
         expected = function.map(50)(points.T, others.T)
         for one, other in zip(found, expected, strict=True):
             np.testing.assert_allclose(one, np.asarray(other).T, rtol=1e-15, atol=1e-15)
+    for one, other in zip(CompiledAtPoints(function)([points, others]), found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-14, atol=1e-15)
 
 
 def test_other_operations_are_refused() -> None:

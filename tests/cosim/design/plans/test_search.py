@@ -29,7 +29,7 @@ from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.profiles import PROFILES, evaluate_profile
 
-SCENE = load_scene("barnard2012-0.1kg")
+SCENE = load_scene("barnard2012-0.1kg").replace({f"plan.limits.{name}": "free" for name in ("power", "rms_torque")})
 
 TIGHT = {"torque": 1.0, "speed": 1.0}
 
@@ -76,11 +76,16 @@ def test_quick_runs_agree_with_the_scene(study: MotionStudy) -> None:
     scene = study.scene.replace(chosen.changes)
     masses = [each.payload for each in goals_of(SCENE).variations(3)]
     runs = [run_scene(scene, parameters={"payload.mass": mass}, tolerance=1e-7) for mass in masses]
-    exact = [metrics_of(run, ["residual_vibration_amplitude", "peak_torque_1", "peak_torque_2"]) for run in runs]
+    names = [f"{name}_{joint}" for name in ("peak_torque", "rms_torque", "positive_energy") for joint in (1, 2)]
+    exact = [metrics_of(run, ["residual_vibration_amplitude", *names]) for run in runs]
     residual = max(each["residual_vibration_amplitude"] or 0.0 for each in exact)
     assert trial.score.values["residual"] == pytest.approx(residual, rel=2e-2)
     torques = [[each["peak_torque_1"], each["peak_torque_2"]] for each in exact]
     assert trial.score.run.peak_torques == pytest.approx(np.array(torques, dtype=float), rel=5e-3)
+    means = [[each["rms_torque_1"], each["rms_torque_2"]] for each in exact]
+    assert trial.score.loads["rms_torque"] == pytest.approx(np.array(means, dtype=float), rel=2e-2)
+    energies = [float(each["positive_energy_1"] or 0.0) + float(each["positive_energy_2"] or 0.0) for each in exact]
+    assert trial.score.loads["energy"] == pytest.approx(np.array(energies), rel=2e-2)
 
 
 def test_time_laws_move_forward_and_are_at_rest_at_both_ends() -> None:
@@ -161,7 +166,7 @@ def test_a_search_that_is_left_ends(study: MotionStudy, monkeypatch: pytest.Monk
 
 @pytest.mark.slow
 def test_least_residual_at_a_given_time() -> None:
-    wishes = {"plan": {"minimise": "residual", "duration": 0.25, "payload_band": 0.1}}
+    wishes = {"plan.minimise": "residual", "plan.duration": 0.25, "plan.payload_band": 0.1}
     study = study_of(goals_of(SCENE.replace(wishes)), 3, 1e-3)
     first = first_iterate(study, FAMILY, study.space.start(FAMILY), {})
     last = improved(study, first, 4)
