@@ -2,7 +2,7 @@
 
 python benchmarks/identification.py [--cases 100] [--first 0] [--kind angles|torques|mode|all] [--json FILE]
 
-Each case draws a robot, moves its motors by the scene's motion in finite elements, and makes a log at 1 kHz of that: encoders of 17 bits,
+Each case draws a robot, moves its motors by the scene's motion in finite elements, and makes a log of that (at 1 kHz, torques that drive the model at 4 kHz): encoders of 17 bits,
 noise that is coloured (autoregressive, poles drawn), sensors that are 2 ms late, without that being known. Five parameters are
 estimated, from first values that are up to 20 % off:
 
@@ -30,11 +30,14 @@ import numpy as np
 import flexfmu
 from flexfmu.cosim.experiment.parameters import scene_values
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.model.finite_elements.motion import simulate
+from flexfmu.model.finite_elements.motion import equilibrium, simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 
-STEP, DELAY, COUNTS, ELEMENTS = 1e-3, 2e-3, 2**17, 3
-NOISE = {"torque": 0.01, "acceleration": 0.01, "mode": 0.001}
+STEPS = {"angles": 1e-3, "torques": 5e-4, "mode": 1e-3}
+"""Distance of the samples [s]: torques between them are interpolated, also where the links vibrate at 300 Hz."""
+
+DELAY, COUNTS, ELEMENTS = 2e-3, 2**17, 3
+NOISE = {"angles": 0.01, "torques": 1e-4, "mode": 0.001, "acceleration": 0.01}
 """Standard deviation of the noise, relative to the largest value; of a missing mode less, which it would hide."""
 
 KEYS = {
@@ -52,7 +55,9 @@ def robot(kind: str) -> flexfmu.Scene:
         "gravity": [0.0, -9.81],
         "basis": "craig-bampton",
         "proximal_bending": 2,
+        "proximal_axial": 1,
         "distal_axial": 1,
+        "foreshortening": True,
         "distal_bending": 0 if kind == "mode" else 1,
         "damping": {"kind": "stiffness", "time": 1e-4},
         "motor_inertia": 0.05,
@@ -81,10 +86,13 @@ def case(number: int, kind: str) -> dict[str, Any]:
     motion = plan(scene)
     bare = built.replace({"effects.motor_inertia": 0.0, "effects.joint_friction": {}})
     elements = finite_element_robot(bare, ELEMENTS)
-    instants = STEP * np.arange(1, round(motion.stop_time / STEP))
-    found = simulate(elements, motion.joints, instants, STEP)
-    _, rate, acceleration = motion.joints.evaluate(instants, 2)
-    torque = found.torque + true["motor_inertia"] * acceleration + true["joint_friction.viscous"] * rate
+    step = STEPS[kind]
+    instants = step * np.arange(round(motion.stop_time / step))
+    found = simulate(elements, motion.joints, instants[1:], step)
+    start, rate, acceleration = motion.joints.evaluate(instants, 2)
+    torque = np.vstack([equilibrium(elements, start[0]).torque, found.torque])
+    end_effector = np.vstack([np.zeros(2), found.acceleration])
+    torque += true["motor_inertia"] * acceleration + true["joint_friction.viscous"] * rate
     bit = 2.0 * np.pi / COUNTS
     columns = {"time": instants}
     late = 0.0 if kind != "torques" else DELAY
@@ -93,16 +101,13 @@ def case(number: int, kind: str) -> dict[str, Any]:
         for j in range(2):
             exact = motion.joints.evaluate(np.maximum(instants - late, 0.0), 0)[0][:, j]
             columns[f"joint{j + 1}.position"] = bit * np.round(exact / bit)
-            values = torque[:, j] if kind == "torques" else delayed(instants, torque[:, j], DELAY)
-            noise = (
-                0.0
-                if kind == "torques"
-                else coloured(instants.size, NOISE["mode" if kind == "mode" else "torque"] * abs(torque).max(), rng)
-            )
+            values = torque[:, j] if kind == "torques" else delayed(torque[:, j], round(DELAY / step))
+            size = NOISE[kind] * abs(torque).max()
+            noise = rng.normal(0.0, size, instants.size) if kind == "torques" else coloured(instants.size, size, rng)
             columns[f"joint{j + 1}.torque"] = values + noise
             if kind == "torques":
-                values = delayed(instants, found.acceleration[:, j], DELAY)
-                size = NOISE["acceleration"] * abs(found.acceleration).max()
+                values = delayed(end_effector[:, j], round(DELAY / step))
+                size = NOISE["acceleration"] * abs(end_effector).max()
                 columns[f"end_effector.acceleration.{'xy'[j]}"] = values + coloured(instants.size, size, rng)
         log = Path(folder) / "log.csv"
         np.savetxt(log, np.column_stack([*columns.values()]), delimiter=",", header=",".join(columns), comments="")
@@ -123,9 +128,8 @@ def case(number: int, kind: str) -> dict[str, Any]:
     }
 
 
-def delayed(time: np.ndarray[Any, Any], values: np.ndarray[Any, Any], delay: float) -> np.ndarray[Any, Any]:
-    """Values of some time ago, by whole samples."""
-    shift = round(delay / STEP)
+def delayed(values: np.ndarray[Any, Any], shift: int) -> np.ndarray[Any, Any]:
+    """Values of some samples ago."""
     return np.concatenate([np.full(shift, values[0]), values[: values.size - shift]])
 
 

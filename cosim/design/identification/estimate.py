@@ -67,6 +67,7 @@ class FreeParameter:
         start: first value.
         low, high: bounds.
         prior: mean and standard deviation of what is known beforehand; None for nothing.
+        experiment: number of the one that it belongs to alone, as where the robot stands first; None for a parameter of the model.
     """
 
     name: str
@@ -75,6 +76,7 @@ class FreeParameter:
     low: float = -inf
     high: float = inf
     prior: tuple[float, float] | None = None
+    experiment: int | None = None
 
     @property
     def size(self) -> float:
@@ -131,7 +133,7 @@ class Problem:
 
     Args:
         experiments: at least one.
-        free: the model's parameters.
+        free: the model's parameters, then those of single experiments.
         nuisances: what is unknown of sensors, of `NUISANCES`.
         delays: first delay of each experiment's signals [s].
         loss: ``linear``, or one of SciPy's robust losses.
@@ -179,6 +181,7 @@ class Problem:
                     )
                 )
         self.rows, self._delays = tuple(rows), tuple(delays)
+        self.shared = sum(each.experiment is None for each in self.free)
         self.nuisances = tuple(names)
         self.start = np.array([*(each.start for each in self.free), *starts])
         self.sizes = np.array([*(each.size for each in self.free), *sizes])
@@ -190,18 +193,33 @@ class Problem:
         self._varied: tuple[RealArray, list[list[Recording]], list[float]] | None = None
 
     @property
+    def labels(self) -> list[str]:
+        """Names of all unknowns, with the log of those that belong to one."""
+        of = [
+            f"{p.name} of {self.experiments[p.experiment].name}" if p.experiment is not None else p.name
+            for p in self.free
+        ]
+        return [*of, *self.nuisances]
+
+    @property
     def samples(self) -> int:
         """Number of compared values."""
         return sum(row.channel.time.size for row in self.rows)
 
     def recordings(self, points: Sequence[RealArray]) -> list[list[Recording]]:
         """Recordings of all experiments at values of the model's parameters, one list for each of the points."""
-        names = [each.name for each in self.free]
-        variants = [dict(zip(names, point.tolist(), strict=False)) for point in points]
         self.runs += len(points) * len(self.experiments)
         self._show(self.runs)
-        columns = [each.simulate(variants) for each in self.experiments]
+        columns = [
+            each.simulate([self.variant(point, number) for point in points])
+            for number, each in enumerate(self.experiments)
+        ]
         return [list(each) for each in zip(*columns, strict=True)]
+
+    def variant(self, unknowns: RealArray, experiment: int) -> dict[str, float]:
+        """Name of a parameter of an experiment → value."""
+        pairs = zip(self.free, unknowns.tolist(), strict=False)
+        return {each.name: value for each, value in pairs if each.experiment in (None, experiment)}
 
     def at(self, unknowns: RealArray) -> list[Recording]:
         """Recordings of all experiments; those of the last values are kept."""
@@ -491,7 +509,7 @@ def undetermined(problem: Problem, found: Solution) -> Mapping[int, tuple[int, .
     In terms of the parameters' sizes, directions whose standard error exceeds `UNKNOWN` are looked at, the worst first; of each the
     parameter with the largest part is named.
     """
-    count = len(problem.free)
+    count = problem.shared
     scaled = found.jacobian * problem.sizes
     information = scaled.T @ scaled
     own, rest = information[:count, :count], information[count:, count:]

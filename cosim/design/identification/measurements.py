@@ -57,6 +57,9 @@ REFERENCES, ANGLES, TORQUES = (
 DIFFERENCES = 6
 """Order of the differences that show the noise of measured angles."""
 
+PARTS = 8
+"""Parts of a log of which the one with the largest noise tells the encoder's."""
+
 SMOOTH = 1e-7
 """Noise of angles, relative to their range, below which a spline goes through all of them."""
 
@@ -144,6 +147,7 @@ class Experiment:
         motion: instants (N,) [s] → what residuals may depend on (N, k): the joints' velocities, their signs and accelerations; None where the
             motion isn't known before.
         is_table: whether rows are runs, not instants of sensors.
+        start: parameter of the FMU → value and standard deviation of where the simulation begins, as far as the log tells.
     """
 
     name: str
@@ -154,6 +158,7 @@ class Experiment:
     scene: Scene | None = None
     motion: Callable[[RealArray], RealArray] | None = None
     is_table: bool = False
+    start: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 class LoggedSignals:
@@ -351,7 +356,7 @@ def scene_experiment(
     known = comparable(scene, fmu_path)
     strains = {each.signal: "1" for each in mapping.values() if STRAIN.fullmatch(each.signal)}
     recording = once(read_log(log, mapping, known | strains, strict=strict), name)
-    start, stop_time, loop = 0.0, None, None
+    start, stop_time, loop, pose = 0.0, None, None, dict[str, tuple[float, float]]()
     drive, driving = scene.cosimulation.drive, tuple[str, ...]()
     for pair in (REFERENCES, ANGLES) if drive == "motion" or scene.controller else ():
         if all(each in recording for each in pair) and (pair is REFERENCES or drive == "motion"):
@@ -359,7 +364,7 @@ def scene_experiment(
             driving = pair
             break
     if drive == "torque" and not scene.controller and all(each in recording for each in TORQUES):
-        loop, start, stop_time = replayed(scene, recording, name)
+        loop, start, stop_time, pose = replayed(scene, recording, name)
         driving = TORQUES
     compared = [each for each in recording.columns if each not in (*driving, *REFERENCES)]
     if drive == "motion":
@@ -374,7 +379,7 @@ def scene_experiment(
     outputs = sorted({output for each in channels for output in each.parts})
     simulate = SceneSimulation(scene, fmu_path, outputs, loop, stop_time)
     if stop_time is not None:
-        return Experiment(name, channels, simulate, stop_time, bool(driving), scene)
+        return Experiment(name, channels, simulate, stop_time, bool(driving), scene, start=pose)
     planned = plan(scene)
 
     def motion(time: RealArray) -> RealArray:
@@ -502,8 +507,10 @@ def _lateness(joints: Trajectory, end: float, time: RealArray, angles: RealArray
     return found.seconds if found.correlation > ALIKE else None
 
 
-def replayed(scene: Scene, recording: Recording, name: str) -> tuple[Loop, float, float]:
-    """The loop in which the torques of a log drive the robot, the log's time where it begins and the simulation's end [s].
+def replayed(
+    scene: Scene, recording: Recording, name: str
+) -> tuple[Loop, float, float, dict[str, tuple[float, float]]]:
+    """The loop in which the torques of a log drive the robot, the log's time where it begins, the simulation's end [s], and `Experiment.start`.
 
     Raises:
         InputError: torques are missing, or the robot can't stand where the log begins.
@@ -515,19 +522,27 @@ def replayed(scene: Scene, recording: Recording, name: str) -> tuple[Loop, float
         raise InputError(f"{name}: {TORQUES[0]} and {TORQUES[1]} drive the robot, but have {time.size} values")
     begin, end = float(time[0]), float(time[-1])
     source = LoggedSignals("replay", dict.fromkeys(TORQUES, "N.m"), time - begin, torques)
-    parameters = {}
+    pose = dict[str, tuple[float, float]]()
     if all(each in recording for each in ANGLES):
-        first = [float(recording[each].values[np.isfinite(recording[each].values)][0]) for each in ANGLES]
+        angles = [values[np.isfinite(values)] for values in (recording[each].values for each in ANGLES)]
+        # rounding hardly shows at rest
+        noise = [max(noise_of(time, part) for part in np.array_split(each, PARTS)) for each in angles]
+        first = [float(each[0]) for each in angles]
         try:
-            parameters = dict(
-                zip(("start.x", "start.y"), end_effector(scene.mechanism, (first[0], first[1])), strict=True)
-            )
+            ends = [
+                end_effector(scene.mechanism, (first[0] + one * noise[0], first[1] + other * noise[1]))
+                for one, other in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+            ]
         except ValueError as error:
             raise InputError(f"{name}: the robot can't stand at the angles where the log begins: {error}") from None
+        deviations = np.linalg.norm(np.subtract(ends[1:], ends[0]), axis=0).tolist()
+        pose = {
+            key: (x, deviation) for key, x, deviation in zip(("start.x", "start.y"), ends[0], deviations, strict=True)
+        }
     motion = plan(scene)
-    loop = Loop(motion, motion.joints, controllers=(source,), parameters=parameters)
+    loop = Loop(motion, motion.joints, controllers=(source,), parameters={key: x for key, (x, _) in pose.items()})
     step = scene.cosimulation.communication_step
-    return loop, begin, step * int((end - begin) / step)
+    return loop, begin, step * int((end - begin) / step), {key: each for key, each in pose.items() if each[1] > 0.0}
 
 
 class FmuSimulation:

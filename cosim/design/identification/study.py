@@ -458,7 +458,12 @@ class _Study:
             self._show(f"least squares, {self._runs} runs", None)
 
         experiments = [replace(each, simulate=partial(_with_fixed, each, fixed)) for each in self._experiments]
-        return Problem(experiments, parameters, self._sensors, self._delays, self._loss, show)
+        starts = [
+            FreeParameter(name, "m", value, prior=(value, deviation), experiment=number)
+            for number, each in enumerate(experiments)
+            for name, (value, deviation) in each.start.items()
+        ]
+        return Problem(experiments, [*parameters, *starts], self._sensors, self._delays, self._loss, show)
 
     def solved(self, starts: int, seed: int) -> _Solved:
         """Fit, and fit again without what the data don't determine."""
@@ -490,9 +495,9 @@ class _Study:
         """The best of fits from several first values, and how many of them agree with it."""
         from scipy.stats import qmc
 
-        count = len(problem.free)
+        count = problem.shared
         points = qmc.LatinHypercube(count, rng=np.random.default_rng(seed)).random(MANY_PER_START * (starts - 1))
-        ends = np.array([_range_of(each) for each in problem.free])
+        ends = np.array([_range_of(each) for each in problem.free[:count]])
         drawn = [np.append(row, problem.start[count:]) for row in ends[:, 0] + points * (ends[:, 1] - ends[:, 0])]
         noises = problem.noises(first)
         costs = [cost for cost, _ in problem.costs(drawn, noises)]
@@ -522,8 +527,7 @@ class _Study:
         problem, solution = solved.problem, solved.solution
         from scipy.special import stdtr
 
-        values = {each.name: float(x) for each, x in zip(problem.free, solution.unknowns, strict=False)}
-        values |= {each.name: each.start for each in self._parameters if each.name in solved.kept}
+        kept = {each.name: each.start for each in self._parameters if each.name in solved.kept}
         scaled = solution.jacobian * problem.sizes
         inverse = np.linalg.pinv(scaled, rcond=1e-10)
         found = list[Explanation]()
@@ -536,7 +540,10 @@ class _Study:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", DataWarning)
                     richer = prepared(changes)
-                recordings = [each.simulate([values])[0] for each in richer]
+                recordings = [
+                    each.simulate([problem.variant(solution.unknowns, place) | kept])[0]
+                    for place, each in enumerate(richer)
+                ]
             except (InputError, TrajectoryError, ArithmeticError):
                 continue
             own = solution.simulated
@@ -559,7 +566,7 @@ class _Study:
             left = max(1.0 - share, 1e-12)
             probability = 2.0 * float(stdtr(solution.freedom, -math.sqrt(share / left * solution.freedom)))
             shifts = -factor * problem.sizes * (inverse @ change)
-            named = {each.name: float(x) for each, x in zip(problem.free, shifts, strict=False)}
+            named = {each.name: float(x) for each, x in zip(problem.free[: problem.shared], shifts, strict=False)}
             found.append(Explanation(label, changes, share, probability, named))
         return tuple(sorted((each for each in found if each.probability < UNLIKELY), key=lambda each: -each.share))
 
@@ -582,7 +589,8 @@ class _Study:
             if min(np.count_nonzero(moves), np.count_nonzero(~moves)) > 10:
                 powers = [float(np.mean(white[each] ** 2)) for each in (moves, ~moves)]
                 moving = math.sqrt(powers[0] / max(powers[1], 1e-300))
-                if fdtrc(np.count_nonzero(moves), np.count_nonzero(~moves), moving**2) > UNLIKELY:
+                unlikely = fdtrc(np.count_nonzero(moves), np.count_nonzero(~moves), moving**2) <= UNLIKELY
+                if not unlikely or float(np.std(residual)) < _resolution(channel.values, ~moves):
                     moving = min(moving, 1.0)
             # the signal itself at several lags, and the motion
             inputs, motion = _lagged(after, channel), self._experiments[row.experiment].motion
@@ -613,7 +621,7 @@ class _Study:
         """The values with their intervals, and what there is to say; ``tried`` is whether missing effects were looked for."""
         from scipy.special import stdtrit
 
-        problem, solution, count = solved.problem, solved.solution, len(solved.problem.free)
+        problem, solution, count = solved.problem, solved.solution, solved.problem.shared
         self._show("intervals", None)
         intervals, profiled = problem.intervals(solution)
         errors, signals = np.sqrt(np.diag(solution.covariance)), self._signals(solved)
@@ -676,7 +684,7 @@ class _Study:
                 float(errors[j]),
                 intervals[j],
             )
-            for j, name in enumerate(problem.nuisances, count)
+            for j, name in enumerate(problem.labels[count:], count)
         ]
         wider = errors / np.sqrt(np.diag(solution.covariance))
         covariance = (solution.covariance * np.outer(wider, wider))[:count, :count]
@@ -726,8 +734,8 @@ def _with_fixed(
 
 def _unit_of(name: str, problem: Problem) -> str:
     """Unit of a sensor's unknown."""
-    if name.startswith("delay"):
-        return "s"
+    if name.startswith(("delay", "start")):
+        return "s" if name.startswith("delay") else "m"
     return (
         "1"
         if name.startswith("gain")
@@ -747,6 +755,14 @@ def _lagged(signal: RealArray, channel: Channel) -> RealArray:
     """A signal at several lags (N, 2 `LAGS` + 1), constant beyond the ends."""
     places = np.arange(signal.size)
     return np.column_stack([signal[np.clip(places + lag, 0, signal.size - 1)] for lag in range(-LAGS, LAGS + 1)])
+
+
+def _resolution(values: RealArray, rests: RealArray) -> float:
+    """Distance of the values that a digital sensor can show; 0 for one whose values at rest hardly repeat: rounding scatters in motion alone."""
+    distinct = np.unique(values)
+    if 2 * np.unique(values[rests]).size > np.count_nonzero(rests) or distinct.size < 2:
+        return 0.0
+    return float(np.diff(distinct).min())
 
 
 def _ringing(noise: ColouredNoise, duration: float) -> float | None:
