@@ -100,7 +100,9 @@ def case(number: int, kind: str) -> dict[str, Any]:
     with TemporaryDirectory() as folder:
         for j in range(2):
             exact = motion.joints.evaluate(np.maximum(instants - late, 0.0), 0)[0][:, j]
-            columns[f"joint{j + 1}.position"] = bit * np.round(exact / bit)
+            # the encoder's zero is anywhere within a count
+            zero = rng.uniform()
+            columns[f"joint{j + 1}.position"] = bit * (np.round(exact / bit - zero) + zero)
             values = torque[:, j] if kind == "torques" else delayed(torque[:, j], round(DELAY / step))
             size = NOISE[kind] * abs(torque).max()
             noise = rng.normal(0.0, size, instants.size) if kind == "torques" else coloured(instants.size, size, rng)

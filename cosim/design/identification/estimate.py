@@ -50,6 +50,9 @@ SHARED = 0.3
 OUTLIER = 6.0
 """Residual in terms of their median from which on it is an outlier for a robust loss: 4 standard deviations."""
 
+DRAWN = 20
+"""Draws of the noise of what drives simulations."""
+
 BLOCKS = 8
 """Parts of the logs of which each is left out once."""
 
@@ -379,6 +382,32 @@ class Problem:
             shifts.append(rest @ (part.T @ found.white[block == number]))
         return np.asarray(np.sqrt((BLOCKS - 1.0) * np.mean(np.square(shifts), axis=0)) * self.sizes)
 
+    def driven(self, found: Solution, seed: int = 0) -> RealArray:
+        """Covariance of all unknowns (n, n) from the noise of what drives the simulations, which it moves along with: draws, to first order."""
+        scaled, total = found.jacobian * self.sizes, np.zeros((found.unknowns.size,) * 2)
+        inverse = np.linalg.pinv(scaled, rcond=1e-10)
+        for number, each in enumerate(self.experiments):
+            if each.drive is None or not each.drive.noise.any():
+                continue
+            variant, recordings, rng = (
+                self.variant(found.unknowns, number),
+                [*self.at(found.unknowns)],
+                np.random.default_rng(seed),
+            )
+            try:
+                for _ in range(DRAWN):
+                    each.drive.disturb(rng)
+                    recordings[number] = each.simulate([variant])[0]
+                    self.runs += 1
+                    self._show(self.runs)
+                    shown = [self.simulated(row, recordings[row.experiment], found.unknowns)[0] for row in self.rows]
+                    parts = [a - b for a, b in zip(shown, found.simulated, strict=True)]
+                    shift = self.sizes * (inverse[:, : self.samples] @ self.whitened(parts, found.noises))
+                    total += np.outer(shift, shift) / DRAWN
+            finally:
+                each.drive.disturb(None)
+        return total
+
     def first_noises(self, unknowns: RealArray) -> list[ColouredNoise]:
         """White noise of a tenth of each signal's own deviation, in place of what isn't known yet."""
         none = (np.zeros(0),)
@@ -447,38 +476,49 @@ class Problem:
         limits = {key: float(point[key[0]]) for key, point in zip(sides, points, strict=True)}
         active = dict(zip(sides, self.costs(points, found.noises), strict=True))
         state = {key: points[i] for i, key in enumerate(sides)}
-        for _ in range(PROFILE_STEPS):
-            off = {
-                key: ratio
-                for key, (cost, _) in active.items()
-                if abs(lengths[key]) > 0.0
-                and abs((ratio := max(cost - found.cost, 1e-9 * wanted[key[0]]) / wanted[key[0]]) - 1.0) > CURVED
-                and not (limits[key] in self.bounds(key[0]) and ratio < 1.0)
-            }
-            if not off:
+        off = dict[tuple[int, float], float]()
+        for number in range(PROFILE_STEPS + 1):
+            off = {}
+            for key, (cost, white) in active.items():
+                best, _ = self._corrected(found, white, key[0])
+                ratio = max(best - found.cost, 1e-9 * wanted[key[0]]) / wanted[key[0]]
+                is_bound = limits[key] in self.bounds(key[0]) and ratio < 1.0
+                if abs(ratio - 1.0) > CURVED and not is_bound:
+                    curved.add(key[0])
+                elif cost - best <= CURVED * wanted[key[0]] or is_bound:
+                    continue
+                if abs(lengths[key]) > 0.0:
+                    off[key] = sqrt(1.0 / ratio)
+            if not off or number == PROFILE_STEPS:
                 break
-            curved |= {key[0] for key in off}
-            keys = [*off]
-            points = [self._along(found, state[key], active[key][1], key[0], sqrt(1.0 / off[key])) for key in keys]
-            for key, point, cost in zip(keys, points, self.costs(points, found.noises), strict=True):
+            points = [self._along(found, state[key], active[key][1], key[0], factor) for key, factor in off.items()]
+            for key, point, cost in zip(off, points, self.costs(points, found.noises), strict=True):
                 active[key], state[key], limits[key] = cost, point, float(point[key[0]])
         for j in curved:
-            ends[j] = limits[j, -1.0], limits[j, 1.0]
+            # an end that isn't found is at least as far away as that of the parabola
+            low, high = ends[j]
+            ends[j] = (
+                min(limits[j, -1.0], low) if (j, -1.0) in off else limits[j, -1.0],
+                max(limits[j, 1.0], high) if (j, 1.0) in off else limits[j, 1.0],
+            )
         low_high = zip(ends, self._low, self._high, strict=True)
         return [(float(max(a, low)), float(min(b, high))) for (a, b), low, high in low_high], sorted(curved)
 
+    def _corrected(self, found: Solution, white: RealArray, place: int, change: float = 0.0) -> tuple[float, RealArray]:
+        """Sum of squares once all unknowns but one are best, to first order, and their steps in terms of the sizes (n,), that one's being given."""
+        scaled = found.jacobian * self.sizes
+        others = np.delete(np.arange(scaled.shape[1]), place)
+        left = white - scaled[:, place] * change
+        step = np.full(scaled.shape[1], change)
+        step[others] = np.linalg.lstsq(scaled[:, others], left, rcond=1e-10)[0]
+        left = left - scaled[:, others] @ step[others]
+        return float(left @ left), step
+
     def _along(self, found: Solution, point: RealArray, white: RealArray, place: int, factor: float) -> RealArray:
         """The next point of a profile: the parameter's distance changed by a factor, the others by a step of Gauss and Newton."""
-        factor = min(max(factor, 0.3), 3.0)
-        moved = point.copy()
-        moved[place] = found.unknowns[place] + factor * (point[place] - found.unknowns[place])
-        others = np.delete(np.arange(point.size), place)
-        scaled = found.jacobian * self.sizes
-        # the residuals at the new place to first order, then the least squares of the others
-        left = white - scaled[:, place] * (moved[place] - point[place]) / self.sizes[place]
-        step = np.linalg.lstsq(scaled[:, others], left, rcond=1e-10)[0]
-        moved[others] += self.sizes[others] * step
-        return self.within(moved)
+        distance = point[place] - found.unknowns[place]
+        change = (min(max(factor, 0.3), 3.0) - 1.0) * distance / self.sizes[place]
+        return self.within(point + self.sizes * self._corrected(found, white, place, change)[1])
 
 
 def _covered(channel: Channel, delay: float, stop_time: float) -> Channel:

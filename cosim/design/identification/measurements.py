@@ -57,6 +57,9 @@ REFERENCES, ANGLES, TORQUES = (
 DIFFERENCES = 6
 """Order of the differences that show the noise of measured angles."""
 
+SAME = 8
+"""Equal values in a row from which on a sensor's rounding hides its noise."""
+
 PARTS = 8
 """Parts of a log of which the one with the largest noise tells the encoder's."""
 
@@ -148,6 +151,7 @@ class Experiment:
             motion isn't known before.
         is_table: whether rows are runs, not instants of sensors.
         start: parameter of the FMU → value and standard deviation of where the simulation begins, as far as the log tells.
+        drive: signals of the log that drive the simulation with their noise; None for none.
     """
 
     name: str
@@ -159,6 +163,7 @@ class Experiment:
     motion: Callable[[RealArray], RealArray] | None = None
     is_table: bool = False
     start: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    drive: LoggedSignals | None = None
 
 
 class LoggedSignals:
@@ -169,19 +174,29 @@ class LoggedSignals:
         units: name of an output → unit.
         time: (N,) instants [s], ascending.
         values: (n, N) values of the outputs.
+
+    Attributes:
+        noise: (n,) standard deviation of the values' own white noise.
     """
 
     announced_order, max_output_order, ends_exactly = 3, 3, True
     breakpoints: Sequence[float] = ()
 
     def __init__(self, name: str, units: Mapping[str, str], time: RealArray, values: RealArray) -> None:
-        from scipy.interpolate import CubicSpline
-
         self.name, self._end = name, float(time[-1])
-        self._spline = CubicSpline(time, values, axis=1, bc_type="natural")
+        self._time, self._values = time, values
+        self.noise = np.array([noise_of(each) for each in values])
+        self.disturb(None)
         self.variables = tuple(SlaveVariable(each, "output", unit) for each, unit in units.items())
         self._next, self._table = 0, np.zeros((1, 4, len(values)))
         self._now = self._table[0]
+
+    def disturb(self, rng: np.random.Generator | None) -> None:
+        """Add as much noise again in the next runs; None for no more."""
+        from scipy.interpolate import CubicSpline
+
+        added = 0.0 if rng is None else self.noise[:, None] * rng.normal(size=self._values.shape)
+        self._spline = CubicSpline(self._time, self._values + added, axis=1, bc_type="natural")
 
     def prepare(self, times: RealArray) -> None:
         """Tabulate values and slopes at communication points (N,) [s]."""
@@ -356,7 +371,7 @@ def scene_experiment(
     known = comparable(scene, fmu_path)
     strains = {each.signal: "1" for each in mapping.values() if STRAIN.fullmatch(each.signal)}
     recording = once(read_log(log, mapping, known | strains, strict=strict), name)
-    start, stop_time, loop, pose = 0.0, None, None, dict[str, tuple[float, float]]()
+    start, stop_time, loop, pose, source = 0.0, None, None, dict[str, tuple[float, float]](), None
     drive, driving = scene.cosimulation.drive, tuple[str, ...]()
     for pair in (REFERENCES, ANGLES) if drive == "motion" or scene.controller else ():
         if all(each in recording for each in pair) and (pair is REFERENCES or drive == "motion"):
@@ -364,7 +379,7 @@ def scene_experiment(
             driving = pair
             break
     if drive == "torque" and not scene.controller and all(each in recording for each in TORQUES):
-        loop, start, stop_time, pose = replayed(scene, recording, name)
+        loop, start, stop_time, pose, source = replayed(scene, recording, name)
         driving = TORQUES
     compared = [each for each in recording.columns if each not in (*driving, *REFERENCES)]
     if drive == "motion":
@@ -379,7 +394,7 @@ def scene_experiment(
     outputs = sorted({output for each in channels for output in each.parts})
     simulate = SceneSimulation(scene, fmu_path, outputs, loop, stop_time)
     if stop_time is not None:
-        return Experiment(name, channels, simulate, stop_time, bool(driving), scene, start=pose)
+        return Experiment(name, channels, simulate, stop_time, bool(driving), scene, start=pose, drive=source)
     planned = plan(scene)
 
     def motion(time: RealArray) -> RealArray:
@@ -425,8 +440,11 @@ def channel(
         raise InputError(
             f"{name}: {signal} has {time.size} values{where}, at least {LEAST} are needed: give a longer log"
         )
+    step = float(np.median(np.diff(time)))
+    distinct = _distinct(values)
+    if np.count_nonzero(distinct) >= LEAST:
+        time, values = time[distinct], values[distinct]
     steps = np.diff(time)
-    step = float(np.median(steps))
     breaks = np.flatnonzero(steps > GAP * step) + 1
     within = steps[steps <= GAP * step]
     if within.size and float(np.abs(within - step).max()) > IRREGULAR * step:
@@ -438,8 +456,19 @@ def channel(
     return Channel(signal, column.unit, parts, time - start, values, pieces, step)
 
 
-def noise_of(time: RealArray, values: RealArray) -> float:
+def _distinct(values: RealArray) -> np.ndarray:
+    """Which values (N,) are kept: of `SAME` equal ones in a row, or more, the middle one, since their rounding is one error, not many."""
+    ends = np.flatnonzero(np.diff(values, prepend=np.nan, append=np.nan) != 0.0)
+    begin, length = ends[:-1], np.diff(ends)
+    kept = np.repeat(length < SAME, length)
+    kept[begin + length // 2] = True
+    return kept
+
+
+def noise_of(values: RealArray) -> float:
     """Standard deviation of the white noise of equally spaced values of something smooth, rounding included."""
+    if values.size <= DIFFERENCES:
+        return 0.0
     differences = np.diff(values, n=DIFFERENCES)
     return float(np.sqrt(np.mean(differences**2) / comb(2 * DIFFERENCES, DIFFERENCES)))
 
@@ -461,7 +490,7 @@ def with_motion(
         raise InputError(
             f"{name}: {pair[0]} and {pair[1]} drive the robot, but have {time.size} values{gap}: cut the log there"
         )
-    noise = max(noise_of(time, each) for each in angles)
+    noise = max(noise_of(each) for each in angles)
     smooths = noise > SMOOTH * float(np.ptp(angles))
     columns = {"time": time - time[0], **dict(zip(COLUMNS["joints"][0], angles, strict=True))}
     # of the scene's own motion the deviation alone is smoothed, if there is any
@@ -509,8 +538,9 @@ def _lateness(joints: Trajectory, end: float, time: RealArray, angles: RealArray
 
 def replayed(
     scene: Scene, recording: Recording, name: str
-) -> tuple[Loop, float, float, dict[str, tuple[float, float]]]:
-    """The loop in which the torques of a log drive the robot, the log's time where it begins, the simulation's end [s], and `Experiment.start`.
+) -> tuple[Loop, float, float, dict[str, tuple[float, float]], LoggedSignals]:
+    """The loop in which the torques of a log drive the robot, the log's time where it begins, the simulation's end [s], and `start` and `drive`
+    of the experiment.
 
     Raises:
         InputError: torques are missing, or the robot can't stand where the log begins.
@@ -526,7 +556,7 @@ def replayed(
     if all(each in recording for each in ANGLES):
         angles = [values[np.isfinite(values)] for values in (recording[each].values for each in ANGLES)]
         # rounding hardly shows at rest
-        noise = [max(noise_of(time, part) for part in np.array_split(each, PARTS)) for each in angles]
+        noise = [max(noise_of(part) for part in np.array_split(each, PARTS)) for each in angles]
         first = [float(each[0]) for each in angles]
         try:
             ends = [
@@ -542,7 +572,13 @@ def replayed(
     motion = plan(scene)
     loop = Loop(motion, motion.joints, controllers=(source,), parameters={key: x for key, (x, _) in pose.items()})
     step = scene.cosimulation.communication_step
-    return loop, begin, step * int((end - begin) / step), {key: each for key, each in pose.items() if each[1] > 0.0}
+    return (
+        loop,
+        begin,
+        step * int((end - begin) / step),
+        {key: each for key, each in pose.items() if each[1] > 0.0},
+        source,
+    )
 
 
 class FmuSimulation:
@@ -643,6 +679,7 @@ def fmu_experiment(
         FmuSimulation(path, compared, inputs, end - start, (end - start) / count, tolerance),
         end - start,
         True,
+        drive=inputs,
     )
 
 

@@ -589,8 +589,7 @@ class _Study:
             if min(np.count_nonzero(moves), np.count_nonzero(~moves)) > 10:
                 powers = [float(np.mean(white[each] ** 2)) for each in (moves, ~moves)]
                 moving = math.sqrt(powers[0] / max(powers[1], 1e-300))
-                unlikely = fdtrc(np.count_nonzero(moves), np.count_nonzero(~moves), moving**2) <= UNLIKELY
-                if not unlikely or float(np.std(residual)) < _resolution(channel.values, ~moves):
+                if fdtrc(np.count_nonzero(moves), np.count_nonzero(~moves), moving**2) > UNLIKELY:
                     moving = min(moving, 1.0)
             # the signal itself at several lags, and the motion
             inputs, motion = _lagged(after, channel), self._experiments[row.experiment].motion
@@ -625,6 +624,14 @@ class _Study:
         self._show("intervals", None)
         intervals, profiled = problem.intervals(solution)
         errors, signals = np.sqrt(np.diag(solution.covariance)), self._signals(solved)
+        # noise of what drives the simulation isn't in the residuals alone
+        driven = np.sqrt(np.diag(solution.covariance + problem.driven(solution)))
+        more = (driven / errors).tolist()
+        intervals = [
+            (x - factor * (x - low), x + factor * (high - x))
+            for (low, high), x, factor in zip(intervals, solution.unknowns.tolist(), more, strict=True)
+        ]
+        errors = driven
         is_wrong = bool(explanations) or not all(each.is_explained for each in signals)
         messages = [*self._messages(solved, signals, explanations)]
         if not tried and not is_wrong:
@@ -755,14 +762,6 @@ def _lagged(signal: RealArray, channel: Channel) -> RealArray:
     """A signal at several lags (N, 2 `LAGS` + 1), constant beyond the ends."""
     places = np.arange(signal.size)
     return np.column_stack([signal[np.clip(places + lag, 0, signal.size - 1)] for lag in range(-LAGS, LAGS + 1)])
-
-
-def _resolution(values: RealArray, rests: RealArray) -> float:
-    """Distance of the values that a digital sensor can show; 0 for one whose values at rest hardly repeat: rounding scatters in motion alone."""
-    distinct = np.unique(values)
-    if 2 * np.unique(values[rests]).size > np.count_nonzero(rests) or distinct.size < 2:
-        return 0.0
-    return float(np.diff(distinct).min())
 
 
 def _ringing(noise: ColouredNoise, duration: float) -> float | None:
