@@ -27,7 +27,7 @@ from flexfmu.cosim.experiment.planning import plan
 from flexfmu.fmu_build.choices import INTEGRATOR
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.sources import generate_sources
+from flexfmu.fmu_build.source_generation import generate_sources
 from flexfmu.fmu_build.toolchain import find_compiler, native_platform
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.schema import Scene

@@ -114,7 +114,7 @@ def build_fmu(
 
     # called only if the cache has no equal FMU
     def make_sources() -> Sources:
-        from flexfmu.fmu_build.sources import generate_sources
+        from flexfmu.fmu_build.source_generation import generate_sources
 
         progress("building the model")
         symbolic = model() if callable(model) else model

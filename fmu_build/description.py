@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
-from typing import Any, Literal
+from typing import Any
 
 from flexfmu.fmu_build.choices import ChoiceParameter, annotation
 from flexfmu.fmu_build.codegen import DESCRIPTION_FILE, identifier
@@ -15,6 +15,7 @@ from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.interface import FmiVariable, Interface, unique_interface
 from flexfmu.fmu_build.naming import NAMES, Naming, namer, structured_names
 from flexfmu.fmu_build.picture import FONT_SIZE, Picture
+from flexfmu.fmu_build.sources import FmuKind
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.toolchain import FMI_HEADERS, FmiVersion, fmi_header_folder
 from flexfmu.fmu_build.units import RealType, displayed, real_types, unit_definitions
@@ -23,8 +24,6 @@ from flexfmu.model.symbolic import SharedLibrary
 TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 """Path of FMI 3.0's terminals, which name the variables that belong together."""
 
-FmuKind = Literal["plant", "block", "trajectory"]
-"""Kind of an FMU; all kinds share the FMI layer of the runtime."""
 
 AUTHOR = "the flexfmu authors"
 LICENSE = "BSD-3-Clause, see documentation/licenses"

@@ -35,7 +35,7 @@ from flexfmu.cosim.studies.workprec.trial import RunError, SceneUnderTest, sweep
 from flexfmu.fmu_build.cache import cached, content_hash, read_cached, store
 from flexfmu.fmu_build.codegen import c_code
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.sources import generate_sources
+from flexfmu.fmu_build.source_generation import generate_sources
 from flexfmu.fmu_build.toolchain import COMMON_FLAGS, find_compiler, native_platform
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.controllers import PdSection

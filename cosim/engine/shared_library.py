@@ -74,7 +74,7 @@ def library_file(name: str) -> Path:
     file = f"{name}/{content_hash(part.encode() for part in parts)}{platform.suffix}"
     if (path := cached(file)) is not None:
         return path
-    from flexfmu.fmu_build.sources import Sources, c_files  # loads CasADi, which only compilation needs
+    from flexfmu.fmu_build.sources import Sources, c_files
 
     sources = Sources(f"flexfmu_{name}", "", "", {}, texts, {}, joined=c_files(texts))
     return store(file, compile_library(sources, find_compiler(platform)))

@@ -30,7 +30,8 @@ from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.description import TERMINALS
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.sources import BUILD_DESCRIPTION, generate_sources, runtime_sources
+from flexfmu.fmu_build.source_generation import generate_sources
+from flexfmu.fmu_build.sources import BUILD_DESCRIPTION, runtime_sources
 from flexfmu.fmu_build.toolchain import FmiVersion, find_compiler, native_platform
 from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.fmu_build.validation.validate import validate_fmu

@@ -16,7 +16,8 @@ from flexfmu.fmu_build import build, cache, compilation, toolchain
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import ArchiveError, CacheWarning, MissingCompilerError, PlatformError
-from flexfmu.fmu_build.sources import Sources, generate_sources
+from flexfmu.fmu_build.source_generation import generate_sources
+from flexfmu.fmu_build.sources import Sources
 from flexfmu.fmu_build.toolchain import native_platform
 from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel
 

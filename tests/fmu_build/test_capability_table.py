@@ -10,7 +10,7 @@ import pytest
 
 from flexfmu.fmu_build.description import description_xml
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.sources import plant_description
+from flexfmu.fmu_build.source_generation import plant_description
 from flexfmu.fmu_build.toolchain import PLATFORMS
 from flexfmu.model.symbolic import SymbolicModel
 

@@ -14,7 +14,7 @@ from flexfmu.fmu_build.description import description_xml
 from flexfmu.fmu_build.errors import BuildError, ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.interface import STATISTICS, build_interface
-from flexfmu.fmu_build.sources import plant_description
+from flexfmu.fmu_build.source_generation import plant_description
 from flexfmu.model.symbolic import SymbolicModel
 
 MakeModel = Callable[..., SymbolicModel]

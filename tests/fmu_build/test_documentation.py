@@ -13,7 +13,7 @@ from matplotlib.image import imread
 
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.picture import plant_picture
-from flexfmu.fmu_build.sources import generate_sources
+from flexfmu.fmu_build.source_generation import generate_sources
 from flexfmu.fmu_build.templating import render
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE

@@ -17,7 +17,7 @@ from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.naming import flat_name, structured_names
-from flexfmu.fmu_build.sources import generate_sources
+from flexfmu.fmu_build.source_generation import generate_sources
 from flexfmu.fmu_build.units import display_unit, real_types, unit_definitions, unit_exponents
 from flexfmu.model.symbolic import SymbolicModel
 

@@ -14,7 +14,7 @@ import pytest
 
 from flexfmu.cosim.experiment.scene_build import build_scene, scene_key
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.sources import generate_sources
+from flexfmu.fmu_build.source_generation import generate_sources
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.sources import Sources, generate_sources
+from flexfmu.fmu_build.source_generation import generate_sources
+from flexfmu.fmu_build.sources import Sources
 from flexfmu.fmu_build.toolchain import PLATFORMS, find_compiler, fmi_header_folder, native_platform
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene

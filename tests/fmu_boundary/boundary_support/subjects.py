@@ -13,7 +13,8 @@ from boundary_support.raw import DISCARD, OK, RawInstance
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.sources import Sources, generate_sources, runtime_sources
+from flexfmu.fmu_build.source_generation import generate_sources
+from flexfmu.fmu_build.sources import Sources, runtime_sources
 from flexfmu.fmu_build.toolchain import FmiVersion
 from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.model.plants import build_model

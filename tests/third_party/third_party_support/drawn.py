@@ -11,7 +11,7 @@ from export_support.kinds import KINDS
 from flexfmu.fmu_build.block_build import block_description, regular_block
 from flexfmu.fmu_build.description import description_xml
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.sources import plant_description
+from flexfmu.fmu_build.source_generation import plant_description
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene

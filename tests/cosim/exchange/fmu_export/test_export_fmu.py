@@ -36,7 +36,7 @@ from flexfmu.cosim.many.prepared_scene import run_scene
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.sources import generate_sources
+from flexfmu.fmu_build.source_generation import generate_sources
 from flexfmu.fmu_build.trajectory_build import Motion
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.steps import interpolates_inputs
