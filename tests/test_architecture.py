@@ -101,6 +101,7 @@ ALONE = {
     "cosim.studies.workprec.figures": "drawing",
     "cosim.studies.workprec.solver_trials": "other solvers and equations for them, which hard cases use too",
     "fmu_build.own_assembly": "the contract from checked equations",
+    "fmu_build.source_generation": "generates an FMU's sources, with CasADi",
     "fmu_build.twins": "pairs of lanes in C",
     "model.finite_elements.motion": "time integration",
     "model.multipliers": "the second form of the equations",

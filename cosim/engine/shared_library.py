@@ -17,6 +17,7 @@ from flexfmu.fmu_build.c_header import structures, typed
 from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import BuildError
+from flexfmu.fmu_build.sources import Sources, c_files
 from flexfmu.fmu_build.toolchain import COMMON_FLAGS, RUNTIME_FLAGS, SOLVER_FOLDERS, find_compiler, native_platform
 
 LIBRARIES = {
@@ -74,7 +75,5 @@ def library_file(name: str) -> Path:
     file = f"{name}/{content_hash(part.encode() for part in parts)}{platform.suffix}"
     if (path := cached(file)) is not None:
         return path
-    from flexfmu.fmu_build.sources import Sources, c_files
-
     sources = Sources(f"flexfmu_{name}", "", "", {}, texts, {}, joined=c_files(texts))
     return store(file, compile_library(sources, find_compiler(platform)))

@@ -392,6 +392,7 @@ class SideBySide:
         step = section.communication_step if communication_step is None else communication_step
         self._course = _course(parts.references, loop.motion.duration, loop.motion.stop_time, step)
         self._end, self._lanes = loop.motion.duration, lanes
+        self._solver: tuple[tuple[str, ...], Lockstep] | None = None
         # what the runs of all variants share
         self._run = Run(
             plan=loop.motion,
@@ -467,16 +468,19 @@ class SideBySide:
         able = [_is_plain(variant, self._variables) for variant in variants]
         changed, values = self._values([each for each, plain in zip(variants, able, strict=True) if plain])
         known = [name for name in outputs if name in self._variables]
-        solver = Lockstep(
-            self._fmu_path,
-            self._settings,
-            self._course,
-            changed,
-            known,
-            tolerance=self._run.tolerance,
-            lanes=self._lanes,
-        )
-        return able, solver, values, known
+        key = (*changed, "", *known)
+        if self._solver is None or self._solver[0] != key:
+            solver = Lockstep(
+                self._fmu_path,
+                self._settings,
+                self._course,
+                changed,
+                known,
+                tolerance=self._run.tolerance,
+                lanes=self._lanes,
+            )
+            self._solver = key, solver
+        return able, self._solver[1], values, known
 
     def _values(self, variants: Sequence[Mapping[str, float]]) -> tuple[list[str], RealArray]:
         """Names of the k parameters that any variant changes, and their values (N, k)."""

@@ -192,8 +192,7 @@ class Problem:
             [*(each.low for each in self.free), *(0.0 if n.startswith("gain") else -inf for n in names)]
         )
         self._high = np.array([*(each.high for each in self.free), *(inf for _ in names)])
-        self._known: tuple[RealArray, list[Recording]] | None = None
-        self._varied: tuple[RealArray, list[list[Recording]], list[float]] | None = None
+        self._known: tuple[RealArray, tuple[list[Recording], list[list[Recording]], list[float]]] | None = None
 
     @property
     def labels(self) -> list[str]:
@@ -226,10 +225,7 @@ class Problem:
 
     def at(self, unknowns: RealArray) -> list[Recording]:
         """Recordings of all experiments; those of the last values are kept."""
-        own = unknowns[: len(self.free)]
-        if self._known is None or not np.array_equal(self._known[0], own):
-            self._known = own.copy(), self.recordings([own])[0]
-        return self._known[1]
+        return self._around(unknowns[: len(self.free)])[0]
 
     def simulated(
         self, row: ResidualRow, recording: Recording, unknowns: RealArray
@@ -252,11 +248,7 @@ class Problem:
 
     def derivatives(self, unknowns: RealArray) -> list[RealArray]:
         """Derivatives of what each row's sensor shows by all unknowns (M, n)."""
-        base, (varied, widths), found = (
-            self.at(unknowns),
-            self._variations(unknowns[: len(self.free)]),
-            list[RealArray](),
-        )
+        (base, varied, widths), found = self._around(unknowns[: len(self.free)]), list[RealArray]()
         for row in self.rows:
             _, signal, slope = self.simulated(row, base[row.experiment], unknowns)
             columns = np.zeros((signal.size, unknowns.size))
@@ -271,18 +263,20 @@ class Problem:
             found.append(columns)
         return found
 
-    def _variations(self, own: RealArray) -> tuple[list[list[Recording]], list[float]]:
-        """Recordings with each of the model's parameters a little larger, then smaller, and the distances of both; the last ones are kept."""
-        if self._varied is None or not np.array_equal(self._varied[0], own):
-            points, widths = list[RealArray](), list[float]()
+    def _around(self, own: RealArray) -> tuple[list[Recording], list[list[Recording]], list[float]]:
+        """Recordings at values of the model's parameters, with each a little larger, then smaller, and the distances of both; all side by side,
+        and the last ones are kept."""
+        if self._known is None or not np.array_equal(self._known[0], own):
+            points, widths = [own], list[float]()
             for j, value in enumerate(own.tolist()):
                 step = STEP * max(float(self.sizes[j]), abs(value))
                 pair = [own.copy(), own.copy()]
                 pair[0][j], pair[1][j] = min(value + step, self._high[j]), max(value - step, self._low[j])
                 widths.append(float(pair[0][j] - pair[1][j]))
                 points += pair
-            self._varied = own.copy(), self.recordings(points), widths
-        return self._varied[1:]
+            base, *varied = self.recordings(points)
+            self._known = own.copy(), (base, varied, widths)
+        return self._known[1]
 
     def priors(self, unknowns: RealArray) -> tuple[RealArray, RealArray]:
         """Residuals of what is known beforehand (k,), and their derivatives by the unknowns (k, n), negative as all others."""

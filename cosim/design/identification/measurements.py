@@ -48,6 +48,9 @@ from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.table import COLUMNS, smoothed
 from flexfmu.trajectories.trajectory import Trajectory
 
+REALS = ("Real", "Float64", "Float32")
+"""Types of an FMU's real variables."""
+
 JOINTS = ("joint1", "joint2")
 REFERENCES, ANGLES, TORQUES = (
     tuple(f"{joint}.{what}" for joint in JOINTS) for what in ("reference.position", "position", "torque")
@@ -651,7 +654,7 @@ def fmu_experiment(
         InputError, SignalFileError: the log or the FMU can't be used; the message says why.
     """
     description = open_fmu(path).description
-    reals = [each for each in description.modelVariables if each.type in ("Real", "Float64", "Float32")]
+    reals = [each for each in description.modelVariables if each.type in REALS]
     known = {each.name: each.unit or "" for each in reals if each.causality in ("input", "output", "local")}
     entries = {each.name for each in reals if each.causality == "input"}
     recording = once(read_log(log, mapping, known, strict=strict), name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,7 @@ from flexfmu.cosim.design.identification.estimate import (
     undetermined,
 )
 from flexfmu.cosim.design.identification.measurements import (
+    REALS,
     Channel,
     Experiment,
     fmu_experiment,
@@ -250,8 +251,9 @@ def identify_scene(
 
         study = _Study(scene.name, prepared({}), parameters, sensors, loss, show)
         solved = study.solved(starts, seed)
-        explanations = study.explanations(solved, base, prepared, explain)
-    found = study.result(solved, explanations, tried=bool(explain))
+        signals = study.signals(solved)
+        explanations = study.explanations(solved, signals, base, prepared, explain)
+    found = study.result(solved, signals, explanations, tried=bool(explain))
     values = {p.name: found.values[p.name] for p in parameters}
     keyed = tuple(replace(each, key=known[each.name].key) for each in found.estimates)
     return replace(found, estimates=keyed, scene=scene_with_parameters(base, values), changes=_whole_keys(base, values))
@@ -262,21 +264,25 @@ def free_parameters(
 ) -> tuple[Scene, list[FreeParameter]]:
     """The scene with the first values, and the parameters to be estimated; arguments and errors as for `identify_scene`."""
     known = scene_values(scene)
-    names, base, parameters = _chosen(scene, free, priors), scene, list[FreeParameter]()
-    changes = {known[name].key: start for name, start, *_ in names if start is not None}
+    own = {name: each.value for name, each in known.items() if not name.startswith("start.")}
+    chosen = _chosen(free, priors, own, scene.name, _short)
+    changes = {known[each.name].key: each.start for each in chosen if each.start != own[each.name]}
     base = scene.replace(changes) if changes else scene
     show("building the robot", None)
-    description = {each.name: each for each in open_fmu(build_scene(base).path).description.modelVariables}
-    for name, start, low, high, prior in names:
-        if (variable := description.get(name)) is None:
-            raise InputError(
-                f"{known[name].key} has no influence on scene {scene.name}: give the effect that it belongs to a value, or leave it out"
-            )
-        least = -math.inf if variable.min is None else float(variable.min)
-        most = math.inf if variable.max is None else float(variable.max)
-        first = scene_values(base)[name].value if start is None else start
-        parameters.append(FreeParameter(name, variable.unit or "1", first, max(low, least), min(high, most), prior))
-    return base, parameters
+    variables = {each.name: each for each in open_fmu(build_scene(base).path).description.modelVariables}
+    if unknown := next((each.name for each in chosen if each.name not in variables), None):
+        raise InputError(
+            f"{known[unknown].key} has no influence on scene {scene.name}: give the effect that it belongs to a value, or leave it out"
+        )
+    return base, [_of_variable(each, variables[each.name]) for each in chosen]
+
+
+def _of_variable(parameter: FreeParameter, variable: Any) -> FreeParameter:
+    """A parameter with the unit of an FMU's variable, and within its limits."""
+    low = parameter.low if variable.min is None else max(parameter.low, float(variable.min))
+    high = parameter.high if variable.max is None else min(parameter.high, float(variable.max))
+    start = min(max(parameter.start, low), high)
+    return replace(parameter, unit=variable.unit or "1", start=start, low=low, high=high)
 
 
 def identify_fmu(
@@ -307,26 +313,12 @@ def identify_fmu(
     Raises: as for `identify_scene`.
     """
     variables = {each.name: each for each in open_fmu(path).description.modelVariables}
-    given, parameters = priors or {}, list[FreeParameter]()
-    for text in _free_texts(free):
-        name, start, low, high = parse_free(text)
-        variable = variables.get(name)
-        if variable is None or variable.causality == "input":
-            settable = [key for key, each in variables.items() if each.start is not None and each.causality != "input"]
-            raise InputError(f"{path.name} has no parameter {name!r}; {suggestion(name, settable)}")
-        own = start if start is not None or variable.start is None else float(variable.start)
-        first = own if own is not None else 0.5 * (low + high)
-        if not math.isfinite(first) or (first == 0.0 and low == -math.inf):
-            raise InputError(
-                f"{name} of {path.name} starts at {first:g}: give a first value or bounds, {name}=0.1:1 for example"
-            )
-        least = -math.inf if variable.min is None else float(variable.min)
-        most = math.inf if variable.max is None else float(variable.max)
-        bounds = max(low, least), min(high, most)
-        parameters.append(
-            FreeParameter(name, variable.unit or "1", min(max(first, bounds[0]), bounds[1]), *bounds, given.get(name))
-        )
-    _check([each.name for each in parameters], given)
+    own = {
+        name: float(each.start)
+        for name, each in variables.items()
+        if each.start is not None and each.causality != "input" and each.type in REALS
+    }
+    parameters = [_of_variable(each, variables[each.name]) for each in _chosen(free, priors or {}, own, path.name)]
     if changed := next((each for each in logs if each.changes), None):
         raise InputError(f"{changed.name}: keys of a scene can't be given for an FMU")
     experiments = [
@@ -336,7 +328,8 @@ def identify_fmu(
         for each in logs
     ]
     study = _Study(path.stem, experiments, parameters, sensors, loss, show)
-    return study.result(study.solved(starts, seed), ())
+    solved = study.solved(starts, seed)
+    return study.result(solved, study.signals(solved), ())
 
 
 def _short(key: str) -> str:
@@ -345,46 +338,45 @@ def _short(key: str) -> str:
 
 
 def _chosen(
-    scene: Scene, free: Free, priors: Mapping[str, tuple[float, float]]
-) -> list[tuple[str, float | None, float, float, tuple[float, float] | None]]:
-    """Name, first value or None, bounds and prior of the free parameters.
+    free: Free,
+    priors: Mapping[str, tuple[float, float]],
+    known: Mapping[str, float],
+    model: str,
+    short: Callable[[str], str] = str,
+) -> list[FreeParameter]:
+    """The parameters to be estimated, without units.
+
+    Args:
+        free, priors: as for `identify_scene`.
+        known: name of a parameter → its value.
+        model: name of scene or FMU.
+        short: key → name.
 
     Raises:
         InputError: a key doesn't exist, is there twice, or has no first value; or a prior is for none of them.
     """
-    known, found = scene_values(scene), list[tuple[str, float | None, float, float, tuple[float, float] | None]]()
-    given = {_short(key): each for key, each in priors.items()}
+    found, given = list[FreeParameter](), {short(key): each for key, each in priors.items()}
     for text in _free_texts(free):
         key, start, low, high = parse_free(text)
-        name = _short(key)
-        if name not in known or name.startswith("start."):
+        name = short(key)
+        if name not in known:
             raise InputError(
-                f"{key} can't be estimated: no parameter of {scene.name} has that name; {suggestion(name, known)}"
+                f"{key} can't be estimated: no parameter of {model} has that name; {suggestion(name, known)}"
             )
-        own = known[name].value
-        if start is None and not low <= own <= high:
-            start = 0.5 * (low + high)
-        if start is None and own == 0.0:
-            if high == math.inf:
-                raise InputError(f"{key} is 0 in scene {scene.name}: give a first value, {key}=0.01 for example")
-            start = 0.5 * (low + high)
-        found.append((name, start, low, high, given.get(name)))
-    _check([each[0] for each in found], given)
-    return found
-
-
-def _check(names: Sequence[str], priors: Mapping[str, object]) -> None:
-    """Check the names of free parameters.
-
-    Raises:
-        InputError: there is none, one is there twice, or a prior is for none of them.
-    """
+        if start is None:
+            start = known[name] if low <= known[name] <= high else 0.5 * (low + high)
+            start = 0.5 * (low + high) if start == 0.0 and high < math.inf else start
+        if start == 0.0 and high == math.inf:
+            raise InputError(f"{key} is 0 in {model}: give a first value, {key}=0.01 for example")
+        found.append(FreeParameter(name, "", start, low, high, given.get(name)))
+    names = [each.name for each in found]
     if not names:
         raise InputError("nothing is free: name at least one parameter")
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise InputError(f"{twice} is free twice: name it once")
-    if unknown := priors.keys() - set(names):
+    if unknown := given.keys() - set(names):
         raise InputError(f"the prior of {min(unknown)} is for no free parameter: name it in --free, too")
+    return found
 
 
 def _whole_keys(scene: Scene, values: Mapping[str, float]) -> dict[str, Any]:
@@ -511,17 +503,17 @@ class _Study:
         return problem.solve(best.unknowns), f"{agreeing} of {starts} starts end at the same values."
 
     def explanations(
-        self, solved: _Solved, scene: Scene, prepared: Any, wanted: bool | None
+        self, solved: _Solved, signals: Sequence[FittedSignal], scene: Scene, prepared: Any, wanted: bool | None
     ) -> tuple[Explanation, ...]:
         """Effects that the scene lacks and that would explain residuals, the best first.
 
         Args:
             solved: the fit.
+            signals: of the fit.
             scene: the scene of all logs.
             prepared: changes of the scene → experiments.
             wanted: whether they are tried; None for where the residuals depend on the motion.
         """
-        signals = self._signals(solved)
         if wanted is False or (wanted is None and all(each.is_explained for each in signals)):
             return ()
         problem, solution = solved.problem, solved.solution
@@ -570,7 +562,7 @@ class _Study:
             found.append(Explanation(label, changes, share, probability, named))
         return tuple(sorted((each for each in found if each.probability < UNLIKELY), key=lambda each: -each.share))
 
-    def _signals(self, solved: _Solved) -> tuple[FittedSignal, ...]:
+    def signals(self, solved: _Solved) -> tuple[FittedSignal, ...]:
         """The measured signals beside the simulated ones, and what their residuals tell."""
         from scipy.special import fdtrc
 
@@ -616,14 +608,21 @@ class _Study:
             )
         return tuple(found)
 
-    def result(self, solved: _Solved, explanations: Sequence[Explanation], *, tried: bool = True) -> Identification:
+    def result(
+        self,
+        solved: _Solved,
+        signals: Sequence[FittedSignal],
+        explanations: Sequence[Explanation],
+        *,
+        tried: bool = True,
+    ) -> Identification:
         """The values with their intervals, and what there is to say; ``tried`` is whether missing effects were looked for."""
         from scipy.special import stdtrit
 
         problem, solution, count = solved.problem, solved.solution, solved.problem.shared
         self._show("intervals", None)
         intervals, profiled = problem.intervals(solution)
-        errors, signals = np.sqrt(np.diag(solution.covariance)), self._signals(solved)
+        errors = np.sqrt(np.diag(solution.covariance))
         # noise of what drives the simulation isn't in the residuals alone
         driven = np.sqrt(np.diag(solution.covariance + problem.driven(solution)))
         more = (driven / errors).tolist()
@@ -648,19 +647,10 @@ class _Study:
             intervals = [(min(low, x - width), max(high, x + width)) for (low, high), x, width in centres]
         estimates, free = list[Estimated](), [each.name for each in problem.free]
         for each in self._parameters:
-            if each.name in solved.kept:
-                reason = solved.kept[each.name]
+            if reason := solved.kept.get(each.name):
                 estimates.append(
                     Estimated(
-                        each.name,
-                        each.unit,
-                        each.start,
-                        each.start,
-                        math.nan,
-                        (each.start, each.start),
-                        reason,
-                        False,
-                        each.name,
+                        each.name, each.unit, each.start, each.start, math.nan, (each.start, each.start), kept=reason
                     )
                 )
                 continue
@@ -668,19 +658,10 @@ class _Study:
             low, high = intervals[j]
             # a model that explains more has other values: its interval counts as well
             shift = 0.0 if best is None else best.shifts.get(each.name, 0.0)
-            low, high = max(low + min(shift, 0.0), each.low), min(high + max(shift, 0.0), each.high)
+            interval = max(low + min(shift, 0.0), each.low), min(high + max(shift, 0.0), each.high)
+            value, error = float(solution.unknowns[j]), float(errors[j])
             estimates.append(
-                Estimated(
-                    each.name,
-                    each.unit,
-                    each.start,
-                    float(solution.unknowns[j]),
-                    float(errors[j]),
-                    (low, high),
-                    "",
-                    j in profiled,
-                    each.name,
-                )
+                Estimated(each.name, each.unit, each.start, value, error, interval, profiled=j in profiled)
             )
         sensors = [
             Estimated(
@@ -700,7 +681,7 @@ class _Study:
             tuple(estimates),
             tuple(sensors),
             covariance,
-            signals,
+            tuple(signals),
             tuple(explanations),
             tuple(messages),
             self._runs,

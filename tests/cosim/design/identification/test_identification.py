@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,14 @@ from scipy.linalg import toeplitz
 
 import flexfmu
 from flexfmu.cosim.design.identification.estimate import FreeParameter, Problem, undetermined
-from flexfmu.cosim.design.identification.measurements import Channel, Experiment, noise_of, sampled
+from flexfmu.cosim.design.identification.measurements import (
+    Channel,
+    Experiment,
+    LoggedSignals,
+    _distinct,
+    noise_of,
+    sampled,
+)
 from flexfmu.cosim.design.identification.noise import ColouredNoise, fitted_noise, independence, whiteness
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import RealArray
@@ -95,7 +103,41 @@ def test_signals_between_points_follow_their_derivatives() -> None:
 
 def test_noise_of_angles_is_that_of_their_encoder() -> None:
     """A smooth motion, rounded: the noise is that of rounding, a 12th of a square."""
-    assert noise_of(TIME, 1e-4 * np.round(np.sin(6.0 * TIME) / 1e-4)) == pytest.approx(1e-4 / np.sqrt(12.0), rel=0.15)
+    assert noise_of(1e-4 * np.round(np.sin(6.0 * TIME) / 1e-4)) == pytest.approx(1e-4 / np.sqrt(12.0), rel=0.15)
+
+
+def test_rounding_at_rest_counts_once() -> None:
+    """Of many equal values in a row the middle one stays, all others do; the rest's rounding isn't biased by the slow ends."""
+    ends = 0.5 * (1.0 - np.cos(np.pi * TIME))
+    kept = _distinct(np.round(ends / 1e-2))
+    assert np.flatnonzero(kept)[[0, -1]] == pytest.approx([9, 391], abs=2)
+    assert kept[100:300].all()
+    assert np.abs(np.round(ends / 1e-2) * 1e-2 - ends)[kept].mean() == pytest.approx(2.5e-3, rel=0.2)
+
+
+def test_noise_of_what_drives_a_simulation_is_in_the_errors() -> None:
+    """A gain from input to output: the input's noise, in the simulation alone, moves the gain's estimate as the closed form says."""
+    rng, deviation = np.random.default_rng(5), 0.02
+    true = np.sin(9.0 * TIME) + 0.3 * np.sin(50.0 * TIME)
+    drive = LoggedSignals("log", {"u": ""}, TIME, (true + deviation * rng.normal(size=TIME.size))[None])
+    assert drive.noise[0] == pytest.approx(deviation, rel=0.2)
+    exact = experiment({"y": 2.0 * true + 0.2 * rng.normal(size=TIME.size)}, {})
+
+    def run(variants: Sequence[Mapping[str, float]]) -> list[Recording]:
+        drive.prepare(TIME)
+        table = drive._table
+        return [
+            Recording(TIME, {"y": Column("", each["a"] * table[:, 0, 0], each["a"] * table[:, 1, 0])})
+            for each in variants
+        ]
+
+    problem = Problem(
+        [replace(exact, simulate=run, drive=drive, stop_time=1.0)], [FreeParameter("a", "1", 1.5)], (), [0.0]
+    )
+    found = problem.solve()
+    spread = np.mean([np.sqrt(problem.driven(found, seed)[0, 0]) for seed in range(8)])
+    power = float(np.sum(true**2) + TIME.size * deviation**2)
+    assert spread == pytest.approx(found.unknowns[0] * drive.noise[0] / np.sqrt(power), rel=0.15)
 
 
 def test_a_linear_problem_has_the_solution_of_the_normal_equations() -> None:
