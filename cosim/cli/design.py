@@ -265,7 +265,7 @@ def identify(
         starts (N): First values from which the least squares are looked for, drawn within the bounds.
         seed (N): Seed of these.
         segment (FROM:TO): Times of the logs that count, in s; may be repeated. Default: all.
-        explain: Try effects that the scene lacks on the residuals; each needs an FMU. Default: where they aren't noise.
+        explain: Try effects that the scene lacks on the residuals; each needs an FMU. Default: where they aren't noise, or several parameters are free.
         step (SECONDS): Communication step with an FMU. Default: its own.
         strict: Refuse logs with values that are no finite numbers (nan, inf). Default: leave them out and tell the line.
         design: Propose a motion instead. Default: estimate from logs.

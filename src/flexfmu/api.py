@@ -276,7 +276,8 @@ def identify(
         starts: number of first values from which the least squares are looked for.
         seed: of these.
         segments: intervals of the logs' times whose samples count [s].
-        explain: whether effects that the scene lacks are tried; None for where the residuals depend on the motion.
+        explain: whether effects that the scene lacks are tried; None for where the residuals depend on the motion, or several
+            parameters are free.
         step, tolerance: communication step [s] and relative tolerance of an FMU; None for its own.
         strict: whether a value in a log that is no finite number is an error; otherwise it is left out, with a warning.
         out: folder for ``identified.html``, ``identified.json``, and ``draws.csv``, cases for `sweep`; None for memory alone.

@@ -212,7 +212,8 @@ def identify_scene(
         starts: number of first values from which the least squares are looked for; more than one are drawn within the bounds.
         seed: of these.
         segments: intervals of the logs' times whose samples count [s]; none for all.
-        explain: whether effects that the scene lacks are tried; None for where the residuals aren't noise.
+        explain: whether effects that the scene lacks are tried; None for where the residuals aren't noise, or several parameters are free,
+            which can imitate what is missing.
         strict: whether a value in a log that is no finite number is an error instead of left out.
         show: called with what is being done, and the finished fraction.
 
@@ -253,7 +254,7 @@ def identify_scene(
         solved = study.solved(starts, seed)
         signals = study.signals(solved)
         explanations = study.explanations(solved, signals, base, prepared, explain)
-    found = study.result(solved, signals, explanations, tried=bool(explain))
+    found = study.result(solved, signals, explanations)
     values = {p.name: found.values[p.name] for p in parameters}
     keyed = tuple(replace(each, key=known[each.name].key) for each in found.estimates)
     return replace(found, estimates=keyed, scene=scene_with_parameters(base, values), changes=_whole_keys(base, values))
@@ -504,7 +505,7 @@ class _Study:
 
     def explanations(
         self, solved: _Solved, signals: Sequence[FittedSignal], scene: Scene, prepared: Any, wanted: bool | None
-    ) -> tuple[Explanation, ...]:
+    ) -> tuple[Explanation, ...] | None:
         """Effects that the scene lacks and that would explain residuals, the best first.
 
         Args:
@@ -512,10 +513,15 @@ class _Study:
             signals: of the fit.
             scene: the scene of all logs.
             prepared: changes of the scene → experiments.
-            wanted: whether they are tried; None for where the residuals depend on the motion.
+            wanted: whether they are tried; None for where the residuals depend on the motion, or several parameters are free.
+
+        Returns:
+            None where they aren't tried.
         """
-        if wanted is False or (wanted is None and all(each.is_explained for each in signals)):
-            return ()
+        if wanted is None:
+            wanted = solved.problem.shared > 1 or not all(each.is_explained for each in signals)
+        if not wanted:
+            return None
         problem, solution = solved.problem, solved.solution
         from scipy.special import stdtr
 
@@ -557,7 +563,8 @@ class _Study:
                 continue
             left = max(1.0 - share, 1e-12)
             probability = 2.0 * float(stdtr(solution.freedom, -math.sqrt(share / left * solution.freedom)))
-            shifts = -factor * problem.sizes * (inverse @ change)
+            # with the whole effect, or as much of it as the residuals ask for
+            shifts = -max(factor, 1.0) * problem.sizes * (inverse @ change)
             named = {each.name: float(x) for each, x in zip(problem.free[: problem.shared], shifts, strict=False)}
             found.append(Explanation(label, changes, share, probability, named))
         return tuple(sorted((each for each in found if each.probability < UNLIKELY), key=lambda each: -each.share))
@@ -609,14 +616,9 @@ class _Study:
         return tuple(found)
 
     def result(
-        self,
-        solved: _Solved,
-        signals: Sequence[FittedSignal],
-        explanations: Sequence[Explanation],
-        *,
-        tried: bool = True,
+        self, solved: _Solved, signals: Sequence[FittedSignal], explanations: Sequence[Explanation] | None
     ) -> Identification:
-        """The values with their intervals, and what there is to say; ``tried`` is whether missing effects were looked for."""
+        """The values with their intervals, and what there is to say; None for effects that weren't looked for."""
         from scipy.special import stdtrit
 
         problem, solution, count = solved.problem, solved.solution, solved.problem.shared
@@ -632,8 +634,8 @@ class _Study:
         ]
         errors = driven
         is_wrong = bool(explanations) or not all(each.is_explained for each in signals)
-        messages = [*self._messages(solved, signals, explanations)]
-        if not tried and not is_wrong:
+        messages = [*self._messages(solved, signals, explanations or ())]
+        if explanations is None and not is_wrong:
             messages.append(
                 "Effects that the scene lacks weren't tried on the residuals: --explain (explain=True) does."
             )
@@ -682,7 +684,7 @@ class _Study:
             tuple(sensors),
             covariance,
             tuple(signals),
-            tuple(explanations),
+            tuple(explanations or ()),
             tuple(messages),
             self._runs,
         )
