@@ -42,9 +42,9 @@ def assert_same(shown: str, found: str) -> None:
 
 
 @pytest.mark.slow
-def test_there_are_seven() -> None:
-    """First run, robot, controller, shaper, accuracy, plan, loop: each in 10 to 25 cells and with what it prints."""
-    assert len(TUTORIALS) == 7
+def test_there_are_eight() -> None:
+    """First run, robot, controller, shaper, accuracy, plan, loop, identify: each in 10 to 25 cells and with what it prints."""
+    assert len(TUTORIALS) == 8
     for path in TUTORIALS:
         book = notebook(path)
         pytest.importorskip("nbformat").validate(book)
