@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi
 import numpy as np
@@ -84,8 +84,8 @@ Point = tuple[RealArray, RealArray, RealArray, RealArray]
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """A model with the Jacobians of residual and outputs by coordinates, rates, accelerations and inputs; its parameters have their start
-    values."""
+    """A model with the Jacobians of residual and outputs by coordinates, rates, accelerations and inputs, functions of these and of the derived
+    values; those of its parameters' start values."""
 
     model: SymbolicModel
     derived: casadi.DM
@@ -93,17 +93,27 @@ class Linearisation:
     outputs: casadi.Function
 
     @classmethod
-    def of(cls, model: SymbolicModel) -> Linearisation:
-        """The Jacobians of a model."""
+    def of(cls, model: SymbolicModel, *, is_varied: bool = False) -> Linearisation:
+        """The Jacobians of a model; ``is_varied`` is whether `with_values` will be called, which makes them a little slower."""
         n, m = model.degrees_of_freedom, len(model.inputs)
         arguments = [casadi.SX.sym(name, size) for name, size in (("y", n), ("v", n), ("a", n), ("u", m))]
-        derived = model.functions["derive"]([variable.start or 0.0 for variable in model.parameters])
+        derived = model.functions["derive"]([each.start or 0.0 for each in model.parameters])
+        symbol = casadi.SX.sym("d", derived.numel())
 
         def jacobians(name: str) -> casadi.Function:
-            expression = model.functions[name](*arguments, derived)
-            return casadi.Function(name, arguments, [casadi.jacobian(expression, x) for x in arguments])
+            expression = model.functions[name](*arguments, symbol if is_varied else derived)
+            return casadi.Function(name, [*arguments, symbol], [casadi.jacobian(expression, x) for x in arguments])
 
         return cls(model, derived, jacobians("residual"), jacobians("outputs"))
+
+    def with_values(self, values: Mapping[str, float]) -> Linearisation:
+        """With other values of some parameters."""
+        return replace(
+            self,
+            derived=self.model.functions["derive"](
+                [values.get(each.name, each.start or 0.0) for each in self.model.parameters]
+            ),
+        )
 
     def about(self, point: Point, outputs: Sequence[str]) -> LinearPlant:
         """The model about a point at which its residual is zero, with some of its outputs."""
@@ -111,11 +121,11 @@ class Linearisation:
         rows = [names.index(name) for name in outputs]
         n, m = self.model.degrees_of_freedom, len(self.model.inputs)
         # accelerations as functions of states and inputs: M a + C v + K y + B u = 0
-        stiffness, damping, mass, load = (np.asarray(each.full()) for each in self.residual(*point))
+        stiffness, damping, mass, load = (np.asarray(each.full()) for each in self.residual(*point, self.derived))
         response = -np.linalg.solve(mass, np.hstack([stiffness, damping, load]))
         by_state, by_input = response[:, : 2 * n], response[:, 2 * n :]
         # outputs, which depend on the accelerations too
-        c_y, c_v, c_a, c_u = (np.asarray(each.full()) for each in self.outputs(*point))
+        c_y, c_v, c_a, c_u = (np.asarray(each.full()) for each in self.outputs(*point, self.derived))
         kept = np.array(self.model.states, dtype=int)
         return LinearPlant(
             a=np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), by_state])[np.ix_(kept, kept)],

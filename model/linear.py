@@ -5,7 +5,7 @@ The residual M a + b(y, v, u) = 0 is linearised with exact derivatives; the acce
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
@@ -15,15 +15,20 @@ import numpy as np
 
 from flexfmu.model.contract import Linearisation, LinearPlant
 from flexfmu.model.one_thread import one_blas_thread
-from flexfmu.model.plants import torque_driven_plant
+from flexfmu.model.plants import motion_driven_plant, torque_driven_plant
 from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.statics import static_equilibrium
+from flexfmu.model.statics import MAXIMUM_ITERATIONS, static_equilibrium
 from flexfmu.model.symbolic import SymbolicModel
 from flexfmu.trajectories.jets import RealArray
 
 if TYPE_CHECKING:
     import control
+
+
+SETTLED = 1e-12
+"""Newton step relative to the elastic coordinates that ends the search for an equilibrium."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +118,58 @@ def linear_plant(scene: Scene, position: tuple[float, float], outputs: Sequence[
     point = operating_point(scene, position)
     still = np.zeros(len(point.coordinates))
     return _plant(scene).about((point.coordinates, still, still, point.inputs), outputs)
+
+
+@one_blas_thread()
+def varied_plant(scene: Scene, joints: RealArray, values: Mapping[str, float]) -> LinearPlant:
+    """The plant of the scene's own drive about its equilibrium, with all outputs, for many values of its parameters.
+
+    Equations are derived once for all of them. Inputs of a motion-driven plant are the joints' positions, velocities and accelerations.
+
+    Args:
+        scene: the scene.
+        joints: motor angles (2,) [rad].
+        values: name of a parameter → value, where it differs from the scene's.
+
+    Raises:
+        EquilibriumError: there is no equilibrium.
+    """
+    linear = _own_plant(scene).with_values(values)
+    model, locked = linear.model, linear.model.locked
+    y, still, inputs = (
+        np.zeros(model.degrees_of_freedom),
+        np.zeros(model.degrees_of_freedom),
+        np.zeros(len(model.inputs)),
+    )
+    (y if locked else inputs)[:2] = joints
+
+    def force() -> RealArray:
+        return np.asarray(model.functions["residual"](y, still, still, inputs, linear.derived).full())[:, 0]
+
+    for _ in range(MAXIMUM_ITERATIONS):
+        stiffness = linear.residual(y, still, still, inputs, linear.derived)[0].full()[locked:, locked:]
+        step = np.linalg.solve(stiffness, force()[locked:])
+        y[locked:] -= step
+        if np.linalg.norm(step) <= SETTLED * np.linalg.norm(y[locked:]):
+            break
+    else:
+        angles = " and ".join(f"{each:.6g}" for each in joints)
+        raise EquilibriumError(f"no static equilibrium was found at the motor angles {angles} rad")
+    inputs[:locked] = force()[:locked]
+    return linear.about((y, still, still, inputs), [each.name for each in model.outputs])
+
+
+def plant_of(scene: Scene) -> SymbolicModel:
+    """The plant of the scene's own drive, cached."""
+    return _own_plant(scene).model
+
+
+@lru_cache(maxsize=8)
+def _own_plant(scene: Scene) -> Linearisation:
+    """The plant of the scene's own drive with its Jacobians."""
+    if scene.cosimulation.drive == "torque":
+        return Linearisation.of(torque_driven_plant(scene), is_varied=True)
+    return Linearisation.of(motion_driven_plant(scene), is_varied=True)
 
 
 def signal_label(name: str) -> str:

@@ -53,6 +53,9 @@ OUTLIER = 6.0
 DRAWN = 20
 """Draws of the noise of what drives simulations."""
 
+CERTAIN = 10**9
+"""Degrees of freedom where the errors are known."""
+
 BLOCKS = 8
 """Parts of the logs of which each is left out once."""
 
@@ -168,9 +171,9 @@ class Problem:
 
         rows = list[ResidualRow]()
         for number, each in enumerate(self.experiments):
-            unknown = () if each.is_table else nuisances
             for channel in each.channels:
-                covered = _covered(channel, delays[number], each.stop_time)
+                unknown = () if each.is_table else {*nuisances} - ({"offset"} if channel.part is not None else set())
+                covered = channel if channel.part is not None else _covered(channel, delays[number], each.stop_time)
                 of = f"{channel.name} of {each.name}"
                 rows.append(
                     ResidualRow(
@@ -180,11 +183,17 @@ class Problem:
                             "delay", unknown, f"delay of {channel.kind}s of {each.name}", delays[number], channel.step
                         ),
                         place("offset", unknown, f"offset of {of}", 0.0, float(np.std(channel.values)) or 1.0),
-                        place("gain", unknown, f"gain of {channel.name}", 1.0, 1.0),
+                        place("gain", unknown, f"gain of {channel.sensor}", 1.0, 1.0),
                     )
                 )
         self.rows, self._delays = tuple(rows), tuple(delays)
         self.shared = sum(each.experiment is None for each in self.free)
+        given = self.samples + sum(each.prior is not None for each in self.free)
+        if given < (count := len(self.free) + len(starts)) + (not self.is_certain):
+            raise InputError(
+                f"{given} values can't tell {count} unknowns{'' if self.is_certain else ' and how accurate they are'}: give more, fewer "
+                "--free and --sensors, or standard errors of modes"
+            )
         self.nuisances = tuple(names)
         self.start = np.array([*(each.start for each in self.free), *starts])
         self.sizes = np.array([*(each.size for each in self.free), *sizes])
@@ -207,6 +216,16 @@ class Problem:
     def samples(self) -> int:
         """Number of compared values."""
         return sum(row.channel.time.size for row in self.rows)
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether errors of all values are known, so that residuals needn't tell them."""
+        return all(row.channel.least > 0.0 for row in self.rows)
+
+    @property
+    def least_variance(self) -> float:
+        """Smallest variance of whitened residuals that counts."""
+        return 1.0 if self.is_certain else 1e-300
 
     def recordings(self, points: Sequence[RealArray]) -> list[list[Recording]]:
         """Recordings of all experiments at values of the model's parameters, one list for each of the points."""
@@ -232,7 +251,7 @@ class Problem:
     ) -> tuple[RealArray, RealArray, RealArray]:
         """What the sensor of a row shows, the signal without offset and gain, and its time derivative, (M,) each."""
         delay = self._delays[row.experiment] if row.delay is None else float(unknowns[row.delay])
-        signal, slope = row.channel.simulated(recording, row.channel.time - delay)
+        signal, slope = row.channel.simulated(recording, delay)
         gain = 1.0 if row.gain is None else unknowns[row.gain]
         offset = 0.0 if row.offset is None else unknowns[row.offset]
         return gain * signal + offset, signal, gain * slope
@@ -326,6 +345,8 @@ class Problem:
             weights = (1.0 + white**2) ** -0.25
             white, jacobian = white * weights, jacobian * weights[:, None]
         freedom = max(self.samples - unknowns.size - sum(each.order for each in noises), 1)
+        if self.is_certain:
+            freedom = CERTAIN
         covariance = self._covariance(white, jacobian, freedom)
         return Solution(unknowns, residuals, shown, tuple(noises), white, jacobian, covariance, freedom)
 
@@ -333,7 +354,7 @@ class Problem:
         """Covariance of the unknowns: correlations of the noise's model, standard errors the larger of two."""
         scaled = jacobian * self.sizes
         inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
-        own = max(float(white @ white) / freedom, 1e-300) * inverse
+        own = max(float(white @ white) / freedom, self.least_variance) * inverse
         # whatever the residuals are correlated with: sums over all signals of an experiment at one instant
         total, begin = np.zeros_like(inverse), 0
         scores = dict[tuple[int, int], RealArray]()
@@ -405,10 +426,11 @@ class Problem:
     def first_noises(self, unknowns: RealArray) -> list[ColouredNoise]:
         """White noise of a tenth of each signal's own deviation, in place of what isn't known yet."""
         none = (np.zeros(0),)
-        return [
-            ColouredNoise(none, np.array([0.1 * float(np.std(row.channel.values)) or 1.0]), row.channel.step)
-            for row in self.rows
-        ]
+        found = []
+        for channel in (row.channel for row in self.rows):
+            size = float(np.std(channel.values if channel.errors is None else channel.values / channel.errors))
+            found.append(ColouredNoise(none, np.array([0.1 * size or 1.0]), channel.step, channel.errors))
+        return found
 
     def noises(self, solution: Solution) -> list[ColouredNoise]:
         """Models of the noise from the residuals of a fit."""
@@ -418,10 +440,13 @@ class Problem:
             sizes = [OUTLIER * float(np.median(np.abs(each))) for each in taken]
             taken = tuple(np.clip(each, -size, size) for each, size in zip(taken, sizes, strict=True))
         pairs = zip(self.rows, taken, strict=True)
-        return [
-            fitted_noise(each, row.channel.pieces, row.channel.step, EXACT * (float(np.ptp(row.channel.values)) or 1.0))
-            for row, each in pairs
-        ]
+        found = []
+        for channel, each in ((row.channel, each) for row, each in pairs):
+            least = (
+                EXACT * (float(np.ptp(channel.values)) or 1.0) if channel.errors is None else max(EXACT, channel.least)
+            )
+            found.append(fitted_noise(each, channel.pieces, channel.step, least, errors=channel.errors))
+        return found
 
     def solve(self, start: RealArray | None = None) -> Solution:
         """Fit, model the noise, and fit again until both agree."""
@@ -549,8 +574,8 @@ def undetermined(problem: Problem, found: Solution) -> Mapping[int, tuple[int, .
     own, rest = information[:count, :count], information[count:, count:]
     mixed = information[:count, count:]
     reduced = own - mixed @ np.linalg.pinv(rest, hermitian=True) @ mixed.T
-    noise = found.cost / found.freedom
-    values, vectors = np.linalg.eigh(reduced / max(noise, 1e-300))
+    noise = max(found.cost / found.freedom, problem.least_variance)
+    values, vectors = np.linalg.eigh(reduced / noise)
     result = dict[int, tuple[int, ...]]()
     for value, vector in zip(values, vectors.T, strict=True):
         if value > 1.0 / UNKNOWN**2:

@@ -231,7 +231,7 @@ def propose_motions(
         torque = max(float(np.abs(recording[each].values).max()) for each in TORQUES)
         if not limits:
             for channel in channels:
-                size = float(np.abs(channel.simulated(recording, time)[0]).max())
+                size = float(np.abs(channel.simulated(recording, 0.0)[0]).max())
                 deviations[channel.name] = noise * (size or 1.0)
             limits[:] = _limits(scene, torque, planned.top_speed)
         columns = problem.derivatives(problem.start)

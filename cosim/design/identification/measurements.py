@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from math import ceil, comb, inf
+from math import ceil, comb, inf, pi
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +76,8 @@ which it is nearly; and correlation above which both are compared."""
 IRREGULAR, GAP = 0.02, 1.5
 """Scatter of the sample distances that is told, and distance above which samples are missing, in terms of the usual one."""
 
+CURRENTS = tuple(f"{joint}.current" for joint in JOINTS)
+
 STRAIN = re.compile(r"(link[12][12])\.strain\[([0-9.]+)\]")
 """Strain of an outer fibre, at a distance from the link's base relative to its length."""
 
@@ -88,10 +90,14 @@ class Channel:
         name: of the simulated signal.
         unit: in SI.
         parts: outputs that it is the weighted sum of, with their factors.
-        time: (N,) instants of the log [s].
+        time: (N,) instants of the log [s], or what its axis says.
         values: (N,) finite values.
         pieces: samples between gaps.
         step: usual distance of the samples [s].
+        part: 1 or -1j, for the real or the imaginary part of a frequency response, or 1 for modes; None for signals over time and metrics.
+        errors: (N,) standard errors of the values, up to a factor; None for equal ones.
+        least: smallest factor; 1 for errors that are certain.
+        axis: label of the time.
     """
 
     name: str
@@ -101,15 +107,31 @@ class Channel:
     values: RealArray = field(repr=False)
     pieces: tuple[Piece, ...] = field(repr=False)
     step: float
+    part: complex | None = None
+    errors: RealArray | None = field(default=None, repr=False)
+    least: float = 0.0
+    axis: str = "time [s]"
 
     @property
     def kind(self) -> str:
         """What is measured, ``torque`` for example: such sensors have a common delay."""
+        if self.part is not None:
+            return "response"
         words = re.sub(r"\[.*?\]", "", self.name).split(".")
         return words[-2] if words[-1] in ("x", "y") and len(words) > 2 else words[-1]
 
-    def simulated(self, recording: Recording, time: RealArray) -> tuple[RealArray, RealArray]:
-        """Return the simulated signal and its time derivative (N,) at instants of the simulation [s]."""
+    @property
+    def sensor(self) -> str:
+        """What has a gain: the signal, or both parts of a response."""
+        return self.name if self.part is None else self.name.rpartition(" ")[0]
+
+    def simulated(self, recording: Recording, delay: float) -> tuple[RealArray, RealArray]:
+        """Return the signal that is simulated with a delay [s], and its derivative by the negative delay (N,)."""
+        if self.part is not None:
+            turn = -2j * pi * self.time
+            (value,) = (self.part * recording[each].values * np.exp(turn * delay) for each in self.parts)
+            return value.real, -(turn * value).real
+        time = self.time - delay
         found = np.zeros((2, time.size))
         for output, factor in self.parts.items():
             found += factor * sampled(recording.time, recording[output], time)
@@ -152,9 +174,9 @@ class Experiment:
         scene: the scene that is simulated; None for an FMU.
         motion: instants (N,) [s] → what residuals may depend on (N, k): the joints' velocities, their signs and accelerations; None where the
             motion isn't known before.
-        is_table: whether rows are runs, not instants of sensors.
         start: parameter of the FMU → value and standard deviation of where the simulation begins, as far as the log tells.
         drive: signals of the log that drive the simulation with their noise; None for none.
+        is_table: whether rows are runs or modes, for which there are no sensors.
     """
 
     name: str
@@ -167,6 +189,11 @@ class Experiment:
     is_table: bool = False
     start: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     drive: LoggedSignals | None = None
+
+    @property
+    def is_response(self) -> bool:
+        """Whether it is a frequency response."""
+        return not self.is_table and self.channels[0].part is not None
 
 
 class LoggedSignals:
@@ -320,7 +347,7 @@ def comparable(scene: Scene, fmu_path: Path) -> dict[str, str]:
     found = {each.name: each.unit or "" for each in variables if each.causality == "output" and each.type == "Real"}
     found |= dict.fromkeys((*REFERENCES, *ANGLES), "rad") | dict.fromkeys(TORQUES, "N.m")
     if scene.motor is not None and scene.motor.torque_constant is not None:
-        found |= dict.fromkeys((f"{joint}.current" for joint in JOINTS), "A")
+        found |= dict.fromkeys(CURRENTS, "A")
     return found
 
 
@@ -690,9 +717,14 @@ def is_table(log: Log) -> bool:
     """Whether a log is a table of metrics: a CSV file without a time, whose columns are metrics and keys of the scene."""
     if not isinstance(log, str | Path) or Path(log).suffix != ".csv" or not Path(log).is_file():
         return False
-    header = read_text(Path(log)).lstrip().partition("\n")[0].split(",")
-    names = [each.strip().strip('"').partition(" ")[0] for each in header]
+    names = names_in(Path(log))
     return "time" not in names and "t" not in names and any(each in ALL_METRICS for each in names)
+
+
+def names_in(path: Path) -> set[str]:
+    """Names of the columns of a CSV file, without units and what else stands behind a blank."""
+    header = next((each for each in read_text(path).splitlines() if each.strip() and not each.startswith("#")), "")
+    return {each.strip().strip('"').partition(" ")[0] for each in re.split("[,;\t]", header)}
 
 
 def table_experiment(scene: Scene, path: Path, name: str) -> Experiment:
@@ -730,7 +762,7 @@ def table_experiment(scene: Scene, path: Path, name: str) -> Experiment:
                 f"{name}: column {header[column]!r} has {error} where a number or a known unit is needed"
             ) from None
         pieces = tuple(slice(k, k + 1) for k in range(len(rows)))
-        channels.append(Channel(metric, definition(metric).unit, {metric: 1.0}, place, values, pieces, 1.0))
+        channels.append(Channel(metric, definition(metric).unit, {metric: 1.0}, place, values, pieces, 1.0, axis="row"))
     measured = [each.name for each in channels]
 
     def simulate(variants: Sequence[Mapping[str, float]]) -> list[Recording]:

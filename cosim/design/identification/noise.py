@@ -31,11 +31,13 @@ class ColouredNoise:
         predictors: predictor of each order from 0 to that of the model, coefficients a[1], a[2] ...
         deviations: (order + 1,) standard deviation of what each of them leaves.
         step: distance of the samples [s].
+        errors: (N,) what the noise is relative to; None for the signal's unit.
     """
 
     predictors: tuple[RealArray, ...]
     deviations: RealArray
     step: float
+    errors: RealArray | None = None
 
     @property
     def order(self) -> int:
@@ -49,6 +51,8 @@ class ColouredNoise:
 
     def whitened(self, values: RealArray, pieces: Sequence[Piece]) -> RealArray:
         """Return values (N, ...) as white noise of unit variance, piece by piece; the operator is linear and keeps the shape."""
+        if self.errors is not None:
+            values = (values.T / self.errors).T
         found = np.zeros_like(values)
         for piece in pieces:
             taken = values[piece]
@@ -72,7 +76,12 @@ class ColouredNoise:
 
 
 def fitted_noise(
-    residuals: RealArray, pieces: Sequence[Piece], step: float, least: float = 0.0, highest: int = HIGHEST
+    residuals: RealArray,
+    pieces: Sequence[Piece],
+    step: float,
+    least: float = 0.0,
+    highest: int = HIGHEST,
+    errors: RealArray | None = None,
 ) -> ColouredNoise:
     """Return the noise model of residuals (N,), by Burg's method over all pieces.
 
@@ -82,7 +91,10 @@ def fitted_noise(
         step: that distance [s].
         least: smallest standard deviation of what it leaves.
         highest: highest order; less where there are few samples.
+        errors: (N,) what the noise is relative to; None for the residuals' unit.
     """
+    if errors is not None:
+        residuals = residuals / errors
     count = sum(piece.stop - piece.start for piece in pieces)
     highest = max(min(highest, count // SHARE, max(piece.stop - piece.start for piece in pieces) - 2), 0)
     forward = [residuals[piece].astype(float) for piece in pieces]
@@ -105,7 +117,7 @@ def fitted_noise(
     orders = np.arange(len(powers))
     criterion = count * np.log(powers) + 2.0 * (orders + 1) * count / np.maximum(count - orders - 2, 1)
     order = int(np.argmin(criterion))
-    return ColouredNoise(tuple(predictors[: order + 1]), np.sqrt(powers[: order + 1]), step)
+    return ColouredNoise(tuple(predictors[: order + 1]), np.sqrt(powers[: order + 1]), step, errors)
 
 
 def whiteness(white: RealArray, pieces: Sequence[Piece], lags: int = 20) -> float:

@@ -84,6 +84,7 @@ class FittedSignal:
         independence: probability that residuals which don't depend on the motion look like these.
         moving: ratio of the whitened residuals while the signal moves to those while it doesn't.
         ringing: frequency [Hz] of what rings in the residuals; None for nothing.
+        axis: label of the time, or of what stands in its place.
     """
 
     log: str
@@ -99,6 +100,7 @@ class FittedSignal:
     independence: float
     moving: float
     ringing: float | None
+    axis: str = "time [s]"
 
     @property
     def is_explained(self) -> bool:
@@ -433,13 +435,14 @@ class Identification(Rows):
                     f"{each.name} of {each.log}",
                     "Measured, and simulated with the first and the identified parameters.",
                     panels,
-                    height=260.0,
+                    each.axis,
+                    260.0,
                 )
             )
             spectra = [
                 Curve(*found, label, colour)
                 for y, label, colour in left
-                if (found := spectrum(each.time, y, float(each.time[0]))) is not None
+                if each.axis.startswith("time") and (found := spectrum(each.time, y, float(each.time[0]))) is not None
             ]
             if spectra:
                 panel = spectrum_panel(f"residual\n[{unit}]", spectra)
@@ -482,9 +485,9 @@ class Identification(Rows):
                 other.plot(each.time, each.measured - each.after, linewidth=0.8)
                 axes.set_title(f"{each.name} of {each.log} [{shown_unit(each.unit)}]", fontsize=8.5)
                 other.set_title("measured minus simulated", fontsize=8.5)
+                for part in (axes, other):
+                    part.set_xlabel(each.axis)
             panels[0, 0].legend(fontsize=8)
-            for axes in panels[-1]:
-                axes.set_xlabel("time [s]")
         return figure
 
 

@@ -39,6 +39,8 @@ from flexfmu.cosim.design.identification.result import (
     Identification,
     joined,
 )
+from flexfmu.cosim.design.identification.spectra import as_spectrum, delay_of_response, spectrum_experiment
+from flexfmu.cosim.design.response.response import FrequencyResponse
 from flexfmu.cosim.engine.errors import DataWarning, InputError, suggestion
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.measured import Log, Mapped, TimedValues, estimate_delay
@@ -223,27 +225,43 @@ def identify_scene(
         BuildError: the FMU can't be built.
         ResultsError: a simulation failed.
     """
-    known = scene_values(scene)
+    known, meaning = scene_values(scene), dict(mapping or {})
+    spectra = [None if is_table(each.log) else as_spectrum(each.log, meaning) for each in logs]
+    # a column that a response has needn't be in logs
+    spectral = {
+        name for each in spectra if isinstance(each, FrequencyResponse) for name in (*each.inputs, *each.outputs)
+    }
+    columns = {column: each for column, each in meaning.items() if column not in spectral}
     base, parameters = free_parameters(scene, free, priors or {}, show)
     with TemporaryDirectory() as folder:
 
         def prepared(extra: Mapping[str, Any]) -> list[Experiment]:
             found = []
-            for each in logs:
-                robot = base.replace({**each.changes, **extra}) if each.changes or extra else base
+            for each, measured in zip(logs, spectra, strict=True):
+                changes = {key: value for key, value in each.changes.items() if measured is None or key != "pose"}
+                robot = base.replace({**changes, **extra}) if changes or extra else base
                 # parameters of the FMU need no other one
-                own = {key: value for key, value in each.changes.items() if _short(key) not in known}
+                own = {key: value for key, value in changes.items() if _short(key) not in known}
                 built = base.replace({**own, **extra}) if own or extra else base
                 if is_table(each.log):
                     found.append(table_experiment(robot, Path(str(each.log)), each.name))
                     continue
-                path = build_scene(built).path
-                experiment = scene_experiment(
-                    robot, path, each.log, mapping or {}, folder, segments, name=each.name, strict=strict
-                )
+                if measured is not None:
+                    experiment = spectrum_experiment(robot, measured, meaning, each.changes.get("pose"), name=each.name)
+                else:
+                    experiment = scene_experiment(
+                        robot,
+                        build_scene(built).path,
+                        each.log,
+                        columns,
+                        folder,
+                        segments,
+                        name=each.name,
+                        strict=strict,
+                    )
                 # what is known of one log isn't free there
                 fixed = {
-                    p.name: scene_values(robot)[p.name].value for p in parameters if p.name in map(_short, each.changes)
+                    p.name: scene_values(robot)[p.name].value for p in parameters if p.name in map(_short, changes)
                 }
                 found.append(
                     replace(experiment, simulate=partial(_with_fixed, experiment, fixed)) if fixed else experiment
@@ -438,7 +456,10 @@ class _Study:
         show("simulating with the first values", None)
         start = {each.name: each.start for each in parameters}
         self._first = [each.simulate([start])[0] for each in experiments]
-        self._delays = [_first_delay(each, run) for each, run in zip(experiments, self._first, strict=True)]
+        self._delays = [
+            delay_of_response(each, run) if "delay" in sensors and each.is_response else _first_delay(each, run)
+            for each, run in zip(experiments, self._first, strict=True)
+        ]
         for each, run, delay in zip(experiments, self._first, self._delays, strict=True):
             _check_likeness(each, run, delay, name)
 
@@ -581,8 +602,8 @@ class _Study:
             channel, end = row.channel, begin + row.channel.time.size
             white = solution.white[begin:end]
             begin = end
-            before, _ = channel.simulated(self._first[row.experiment], channel.time - self._delays[row.experiment])
-            rate = np.abs(np.gradient(after, channel.time))
+            before, _ = channel.simulated(self._first[row.experiment], self._delays[row.experiment])
+            rate = np.zeros(after.size) if channel.part is not None else np.abs(np.gradient(after, channel.time))
             moves = rate > FAST * rate.max(initial=0.0)
             moving = 1.0
             if min(np.count_nonzero(moves), np.count_nonzero(~moves)) > 10:
@@ -610,7 +631,8 @@ class _Study:
                     whiteness=whiteness(white, channel.pieces),
                     independence=independent,
                     moving=moving,
-                    ringing=_ringing(noise, float(np.ptp(channel.time))),
+                    ringing=None if channel.part is not None else _ringing(noise, float(np.ptp(channel.time))),
+                    axis=channel.axis,
                 )
             )
         return tuple(found)
@@ -761,7 +783,7 @@ def _first_delay(experiment: Experiment, run: Recording) -> float:
         return 0.0
     pairs = []
     for each in experiment.channels:
-        simulated, _ = each.simulated(run, run.time)
+        simulated, _ = replace(each, time=run.time).simulated(run, 0.0)
         pairs.append((TimedValues(each.time, each.values), TimedValues(run.time, simulated)))
     return estimate_delay(pairs).seconds
 
@@ -773,11 +795,16 @@ def _check_likeness(experiment: Experiment, run: Recording, delay: float, name: 
         InputError: it is much larger or smaller, or hardly correlated.
     """
     for each in experiment.channels:
-        simulated, _ = each.simulated(run, each.time - delay)
+        simulated, _ = each.simulated(run, delay)
+        if experiment.is_table and each.part is not None:
+            continue
         # single outliers don't count
         ends = np.quantile(each.values, [0.02, 0.98])
         values = np.clip(each.values, *(ends + 0.5 * np.ptp(ends) * np.array([-1.0, 1.0])))
-        spreads = [float(np.std(part)) for part in (values, simulated)]
+        # peaks of a response may be much higher, and elsewhere
+        spreads = [
+            float(np.std(part) if each.part is None else np.quantile(np.abs(part), 0.9)) for part in (values, simulated)
+        ]
         if min(spreads) <= 1e-12 * max(*spreads, 1e-300):
             continue
         ratio = spreads[0] / spreads[1]
@@ -785,9 +812,9 @@ def _check_likeness(experiment: Experiment, run: Recording, delay: float, name: 
         if not 1.0 / UNLIKE < ratio < UNLIKE and abs(correlation) > HARDLY:
             raise InputError(
                 f"{experiment.name}: {each.name} is {ratio:.3g} times as large as simulated: is its unit {each.unit or '1'}? Map it with its "
-                f'unit, --map "{each.name}={each.name}*1e-3" for example'
+                f'unit, --map "{each.name.partition("/")[0]}={each.name.partition("/")[0]}*1e-3" for example'
             )
-        if correlation < HARDLY and experiment.scene is not None:
+        if correlation < HARDLY and experiment.scene is not None and each.part is None:
             sign = " with the opposite sign" if correlation < -HARDLY else ""
             raise InputError(
                 f"{experiment.name}: {each.name} has a correlation of {correlation:.2g} with that of {name}: is it a log of this robot and this "
