@@ -133,11 +133,11 @@ def response(
         band (FROM:TO): Frequencies in Hz, 1:400. Default: all that are excited.
         continuous: The input isn't held between samples. Default: it is, as a controller's.
         modes (N): Number of modes. Default: as many as the response shows.
-        out (DIR): Folder for response.csv and response.png. Default: no files.
+        out (DIR): Folder for response.csv, response.png and modes.csv, logs for `flexfmu identify`. Default: no files.
     """
     from flexfmu.cosim.design.response.estimate import estimate_response
     from flexfmu.cosim.design.response.response import FrequencyResponse
-    from flexfmu.cosim.engine.files import replacing
+    from flexfmu.cosim.engine.files import replacing, write_whole
     from flexfmu.cosim.reports.terminal import titled_table
 
     if not inputs and not outputs and len(logs) == 1:
@@ -155,6 +155,8 @@ def response(
         files = [found.write(folder / "response.csv"), folder / "response.png"]
         with replacing(files[1]) as path:
             fitted.plot().savefig(path, format="png", dpi=130)
+        if fitted.modes:
+            files.append(write_whole(folder / "modes.csv", fitted.to_csv()))
     table = titled_table("Modes, ± standard errors", numbers=("frequency\nHz", "damping\n%"))
     for each in fitted.modes:
         scaled = (1.0, each.frequency), (100.0, each.damping_ratio)
@@ -243,7 +245,8 @@ def identify(
 ) -> int:
     """Estimate parameters of a scene's robot, or of anybody's FMU, from measurements.
 
-    A log is a CSV file with a header and a column `time`; columns named like signals are taken. References or angles of both
+    A log is a CSV file with a header and a column `time`; columns named like signals are taken. A frequency response, or a table
+    of modes, with `frequency` in place of the time, is compared with small motions about the end of the path. References or angles of both
     joints drive a motion-driven robot, torques of both motors a torque-driven one without controllers; else it makes the
     scene's own motion. What else there is, torques, accelerations or strains, is compared. Noise may be coloured: it is
     modelled from the residuals. The exit status is 1 if residuals show that the model lacks something.
@@ -253,7 +256,8 @@ def identify(
 
     Args:
         scene (SCENE): A scene, or an FMU (.fmu), whose inputs and outputs a log's columns are.
-        logs (LOG.csv): A log; LOG.csv:KEY=VALUE,KEY=VALUE changes the scene for it alone, as heavy.csv:payload.mass=6.
+        logs (LOG.csv): A log; LOG.csv:KEY=VALUE,KEY=VALUE changes the scene for it alone, as heavy.csv:payload.mass=6,
+            and for responses and modes the pose: modes.csv:pose=[0.1,0.3].
         free (KEY): A parameter to estimate, payload.mass, with a first value, motor_inertia=0.01, or bounds, payload.mass=3:9; may
             be repeated, or several with commas. Default: none, at least one is needed.
         mapping (--map COLUMN=SIGNAL): What a measured column is, with a factor or a unit and an offset if needed:

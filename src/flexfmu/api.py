@@ -264,7 +264,8 @@ def identify(
         logs: CSV files with a header, data frames or `Recording`; one, several, or pairs of a log and keys of the scene for it alone:
             ``("heavy.csv", {"payload.mass": 6.0})``. Columns of both joints' references or angles drive a motion-driven robot, torques
             of both motors a torque-driven one without controllers; otherwise it makes the scene's own motion. Columns that are named
-            like an FMU's inputs drive it.
+            like an FMU's inputs drive it. A frequency response, or a table of modes (files, `FrequencyResponse` or its ``modes()``), belongs to
+            small motions about the end of the path, or about ``{"pose": (x, y)}`` [m]; see docs/identify.md.
         free: keys of the scene, or names of an FMU's parameters and start values: ``["payload.mass", "motor_inertia=0.01"]``, or a
             dict of first values or of bounds.
         mapping: column → ``signal*factor+offset``, as for `compare`; also ``link11.strain[0.25]``, the strain of an outer fibre, and
