@@ -511,8 +511,8 @@ class Problem:
             if not off or number == PROFILE_STEPS:
                 break
             points = [self._along(found, state[key], active[key][1], key[0], factor) for key, factor in off.items()]
-            for key, point, cost in zip(off, points, self.costs(points, found.noises), strict=True):
-                active[key], state[key], limits[key] = cost, point, float(point[key[0]])
+            for key, point, new in zip(off, points, self.costs(points, found.noises), strict=True):
+                active[key], state[key], limits[key] = new, point, float(point[key[0]])
         for j in curved:
             # an end that isn't found is at least as far away as that of the parabola
             low, high = ends[j]

@@ -277,11 +277,11 @@ def _response(
             share = np.clip(measured.coherence[:, o], *COHERENCE)
             errors = size * np.sqrt((1.0 - share) / share)
         errors = np.maximum(errors, LEAST_ERROR * size.max() or 1.0)
-        for text, part in (("real", 1.0), ("imaginary", -1j)):
+        for text, turn in (("real", 1.0), ("imaginary", -1j)):
             channel = Channel(
-                f"{pair} {text}", unit, {pair: 1.0}, frequency, (part * values).real, (slice(0, len(values)),), 1.0
+                f"{pair} {text}", unit, {pair: 1.0}, frequency, (turn * values).real, (slice(0, len(values)),), 1.0
             )
-            channels.append(replace(channel, part=part, errors=errors, axis=AXIS))
+            channels.append(replace(channel, part=turn, errors=errors, axis=AXIS))
         pairs.append((pair, unit))
     return tuple(channels), evaluated
 
