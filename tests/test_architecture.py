@@ -80,6 +80,7 @@ ALONE = {
     "cosim.control": "the front door names what is in it",
     "cosim.control.disturbances": "blocks of disturbances, and sums for the loop",
     "cosim.design.gains.search": "the optimiser",
+    "cosim.design.identification.spectra": "experiments about an equilibrium",
     "cosim.design.margins.measured_loop": "a loop around a measured plant",
     "cosim.design.margins.pictures": "drawing",
     "cosim.design.plans.optimal": "methods of the planner",
