@@ -662,7 +662,8 @@ def optimal_motion(
         nodes: indices of the robots that the programmes have; None for `NODES` that are denser near both ends.
         parts: steps of the integration for each interval of the spline.
         iterations: largest number of programmes in each stage.
-        loose: bound of the residual vibration [m] in the first stages; the last bound is the least.
+        loose: bound of the residual vibration [m] in the first stages; the last bound is the least. Without a larger one the first
+            motion is taken to be near the best one.
         aim: what is minimised; all but time in the duration of the first motion.
 
     Yields:
@@ -677,6 +678,9 @@ def optimal_motion(
     levels = max(1, round(math.log(loose / limits.residual, FALL)))
     bounds = np.geomspace(loose, limits.residual, levels + 1)[:-1].tolist()
     stages = [(chosen[spread(len(chosen), 3)], loose), *((chosen, bound) for bound in bounds)]
+    if loose == limits.residual:
+        # the first motion is near the best one
+        stages = []
     penalty = PENALTY[0]
     for few, residual in stages:
         stage = _stage(robots, replace(limits, residual=residual), motion, few, start.duration, parts, aim)
@@ -699,13 +703,17 @@ def optimal_motion(
         if met:
             return
         # the worst variants join the nodes, and what else lies between them tightens the limits
-        residuals = fine.vibration.largest(exact.response.end)
-        share = float(max(residuals[chosen].max(), tight.residual) / residuals.max())
-        loads = fine.rows.loads(motion, exact.response)
-        excess = {name: max(1.0, float(np.abs(each).max())) / 0.9998 for name, each in loads.items()}
-        tight = tight.tightened({**excess, "residual": 1.0 / float(np.clip(share, 0.5, 0.95))})
-        worst = {int(np.unravel_index(np.abs(each).argmax(), each.shape)[0]) for each in loads.values()}
-        chosen = np.unique([*chosen, residuals.argmax(), *worst])
+        missed = [name for name, is_missed in zip(GROUPS, exact.violations > CHECKED, strict=True) if is_missed]
+        residuals, loads = fine.vibration.largest(exact.response.end), fine.rows.loads(motion, exact.response)
+        worst, excess = {int(residuals.argmax())}, dict[str, float]()
+        if "residual" in missed:
+            share = float(max(residuals[chosen].max(), tight.residual) / residuals.max())
+            excess["residual"] = 1.0 / float(np.clip(share, 0.5, 0.95))
+        for name in loads.keys() & {*missed}:
+            size = np.abs(loads[name])
+            excess[name] = float(size.max()) / 0.9998
+            worst.add(int(np.unravel_index(size.argmax(), size.shape)[0]))
+        tight, chosen = tight.tightened(excess), np.unique([*chosen, *worst])
 
 
 def spread(count: int, number: int) -> list[int]:

@@ -33,8 +33,8 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 
-INTERVALS = 40
-"""Intervals between the knots of the splines: 30 give motions that are 2 % slower."""
+INTERVALS = 48
+"""Intervals between the knots of the splines: 40 give motions that are 0.7 % slower, 30 such that are 2 % slower."""
 
 PAYLOADS = 25, 13
 """Payloads of the band for which the limits hold: in the scene's model, and in the fuller one."""
@@ -56,7 +56,10 @@ NEARLY = 0.03
 
 TRIES, SURE, SLOWER = 4, 1.02, 1.05
 """Motions that are judged from one start, at most, the factor on what one exceeds limits by, and that on its time for the next
-start: a slower one has room to reach the limits."""
+start, if it exceeds one by more: a slower one has room to reach the limits."""
+
+ACTIVE, FULL, FULL_RESIDUAL = 0.98, 0.999, 0.9
+"""Share of a limit from which on it is active, and shares of limits and of the residual vibration that motions may use."""
 
 RETURN = 1e-6
 """Distance from start to end [m] below which a motion returns."""
@@ -104,7 +107,7 @@ def optimal(
     durations = [share * joints.duration for share in STARTS] if wishes.duration is None else [wishes.duration]
     for duration in durations:
         start = fitted(joints, INTERVALS, side="left").with_duration(duration)
-        tight, loose, tried = limits, optimal_control.LOOSE, False
+        tight, loose, tried, is_first = limits, optimal_control.LOOSE, False, True
         for number in range(TRIES):
 
             def best(
@@ -130,12 +133,17 @@ def optimal(
             label, tried = f"optimal control, {aim}, {time:.4g} s", True
             candidate = Candidate(label, "optimal control", goals.scene, motion.trajectory())
             yield candidate
-            excess = excesses(judge.assess(candidate))
+            judged = judge.assess(candidate)
+            excess = excesses(judged)
+            if judged.feasible:
+                # what it leaves of the limits is given back once
+                excess, is_first = reserves(judged) if is_first and wishes.duration is None else {}, False
             if not excess:
                 return
             # what the FMU finds beyond the limits is taken off them, from this motion on
             tight, loose = tightened(tight, excess), 0.0
-            start = motion.with_duration(wishes.duration or SLOWER * time)
+            far = max(excess.values()) > SLOWER
+            start = motion.with_duration(wishes.duration or (SLOWER if far else 1.0) * time)
         if tried:
             return
 
@@ -155,6 +163,17 @@ def excesses(judged: Assessment) -> Mapping[str, float]:
         limit = "torque" if name in WITH_TORQUE else name
         found[limit] = max(found.get(limit, 1.0), min(SURE * use.share, 2.0 * use.share - 0.999))
     return found if clearance is None else {**found, "clearance": SURE * clearance.value - clearance.limit}
+
+
+def reserves(judged: Assessment) -> Mapping[str, float]:
+    """Factors below 1 by which limits of the programmes, of which a motion within all limits uses less than it could, may be wider."""
+    shares = {use.figure: use.share for use in judged.uses}
+    found = {
+        name: share / FULL for name, share in shares.items() if name in ("torque", *LOADS) and ACTIVE < share < FULL
+    }
+    residual = max(shares["residual"], 0.5) / FULL_RESIDUAL
+    found |= {"residual": residual} if residual < 1.0 else {}
+    return found if min(found.values(), default=1.0) < FULL_RESIDUAL else {}
 
 
 def tightened(limits: optimal_control.MotionLimits, excess: Mapping[str, float]) -> optimal_control.MotionLimits:
