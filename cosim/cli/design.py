@@ -3,7 +3,7 @@ worth; gains and other keys of a scene, chosen by runs; input shapers, designed 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from time import monotonic
@@ -630,6 +630,10 @@ def plan(
     processes: ProcessesOption = None,
     robust: bool = True,
     restart: bool = False,
+    export: Path | None = None,
+    rate: float = 4000.0,
+    unit: str = "rad",
+    counts: float | None = None,
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
@@ -664,17 +668,24 @@ def plan(
         seed (N): Seed of the search. Default: the scene's, or 0.
         robust: Evaluate the chosen motion in richer models too.
         restart: Discard what an interrupted plan for another scene or other limits has left in the folder. Default: refuse.
+        export (FILE.csv): Also write the planned motion as a drive reads it: position, velocity, acceleration and torque of both joints at
+            each sample; it is judged what residual vibration these samples leave.
+        rate (HZ): Samples a second of --export. Default: 4000.
+        unit (UNIT): Angles of --export: rad, deg or turn. Default: rad.
+        counts (N): Encoder counts of a joint's turn: angles of --export are whole counts. Default: no rounding.
     """
     import os
 
     from flexfmu.cosim.design.gains.robustness import parse_band
     from flexfmu.cosim.design.identification.result import Identification
     from flexfmu.cosim.design.plans.assessment import file_candidate
+    from flexfmu.cosim.design.plans.drive_table import check_drive, write_drive_table
     from flexfmu.cosim.design.plans.planned_files import summary, write_plan, write_scene
     from flexfmu.cosim.design.plans.planner import METHODS, plan_scene
     from flexfmu.cosim.many.journal import WorkJournal, about_scene
 
     console.check_scene_file(output)
+    check_drive(rate, unit, counts)
     robot = console.load_changed(scene, settings)
     band = None if payload_band is None else parse_band(payload_band)
     wishes: dict[str, Any] = {
@@ -702,6 +713,12 @@ def plan(
         )
         show("writing the results", None)
         files = write_plan(result, folder) + (write_scene(result, output) if output is not None else [])
+        drive = dict[str, Any]()
+        if export is not None:
+            show("the motion as a drive reads it", None)
+            table, sampled = write_drive_table(result.goals, result.chosen.candidate, export, rate, unit, counts)
+            files.append(export)
+            drive = {"samples": len(table.torque), "rate": rate, "unit": table.unit, "residual": sampled.residual}
     is_spent = budget is not None and monotonic() - started > budget
     if not result.interrupted:
         journal.remove()
@@ -712,9 +729,21 @@ def plan(
         console.show_note(f"{cause}: this is the best motion so far")
     names = [str(path) for path in files]
     console.print_result(
-        json, {**summary(result), "files": names}, *_shown_plan(result), f"results: {', '.join(names)}"
+        json,
+        {**summary(result), **({"drive": drive} if drive else {}), "files": names},
+        *_shown_plan(result),
+        *([_shown_drive(result, drive)] if drive else []),
+        f"results: {', '.join(names)}",
     )
     return console.FAILURE if result.missed or (result.interrupted and not is_spent) else 0
+
+
+def _shown_drive(result: PlanResult, drive: Mapping[str, Any]) -> str:
+    """What the samples for a drive leave."""
+    return (
+        f"For the drive: {drive['samples']} samples at {drive['rate']:g} Hz in {drive['unit']}, which leave at most "
+        f"{1e6 * drive['residual']:.3g} µm of residual vibration (planned: {1e6 * result.chosen.residual:.3g} µm)."
+    )
 
 
 def with_wishes(scene: Scene, wishes: dict[str, Any], limits: list[str]) -> Scene:

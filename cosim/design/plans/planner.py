@@ -12,6 +12,7 @@ import numpy as np
 
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.assessment import FIGURES, Assessment, Candidate, Judge
+from flexfmu.cosim.design.plans.drive_table import DriveTable, drive_table
 from flexfmu.cosim.design.plans.goals import Goals, check_holding_torque, checked_goals, judged_scene
 from flexfmu.cosim.design.plans.optimal import flexible, optimal
 from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
@@ -105,6 +106,10 @@ class PlanResult(Rows):
         """The scene with the chosen motion; a motion of the joints is in ``chosen.candidate.trajectory``."""
         scene, mass = self.chosen.candidate.scene, self.goals.payload
         return scene if mass is None else scene.replace({"payload.mass": mass})
+
+    def drive_table(self, rate: float, unit: str = "rad", counts: float | None = None) -> DriveTable:
+        """The chosen motion as a drive reads it; arguments and errors as for `flexfmu.cosim.design.plans.drive_table.drive_table`."""
+        return drive_table(self.chosen.candidate, rate, unit, counts)
 
     @property
     def front(self) -> tuple[Assessment, ...]:

@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import fmpy
 import numpy as np
 import pytest
 from hypothesis import assume, settings
@@ -20,11 +21,13 @@ from hypothesis import strategies as st
 import flexfmu
 from flexfmu.cosim.design.plans import planner
 from flexfmu.cosim.design.plans.assessment import Candidate, Judge, file_candidate, own_candidate
+from flexfmu.cosim.design.plans.drive_table import write_drive_table
 from flexfmu.cosim.design.plans.goals import Variation, check_holding_torque, goals_of
 from flexfmu.cosim.design.plans.planned_files import write_plan, write_scene
 from flexfmu.cosim.design.plans.planner import FRONT, PlanResult, plan_scene
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.model.reference_design.joint_spline import fitted
@@ -294,3 +297,76 @@ def test_wrong_place() -> None:
     motion = spline([0.0, 0.2], np.stack([positions, 0.0 * positions, 0.0 * positions]))
     with pytest.raises(InputError, match=r"mine ends at \(0.1, 0.32\) m, .* at \(0.175, 0.32\) m"):
         own_candidate(SCENE, "mine", motion)
+
+
+LOADS = ("torque", "power", "rms_torque", "energy", "supply_power", "regenerated_power")
+
+
+def loads(candidate: Candidate) -> dict[str, np.ndarray]:
+    """Loads of the motors from samples of a finer run, each motor's or of both."""
+    run = flexfmu.run(GOALS.scene, trajectory=candidate.trajectory, communication_step=5e-5, tolerance=1e-9)
+    time = run.recording.time
+    torque = np.column_stack([run.recording[f"joint{joint}.torque"].values for joint in (1, 2)])
+    power = torque * run.plan.joints.evaluate(np.clip(time, 0.0, run.plan.duration), 1, "left")[1]
+    power[time > run.plan.duration] = 0.0
+    figures = [abs(torque).max(axis=0), abs(power).max(axis=0)]
+    figures += [
+        np.sqrt(np.trapezoid(torque**2, time, axis=0) / time[-1]),
+        np.trapezoid(np.maximum(power, 0.0), time, axis=0).sum(),
+    ]
+    figures += [power.sum(axis=1).max(), -power.sum(axis=1).min()]
+    return dict(zip(LOADS, figures, strict=True))
+
+
+@cache
+def _finer() -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    return loads(Candidate("given", "given", GOALS.scene)), loads(stretched(0.95))
+
+
+@settings(max_examples=4)
+@drawn(st.lists(st.floats(0.9, 1.5), min_size=6, max_size=6), st.booleans())
+def test_what_is_said_to_be_kept_is_kept(ratios: list[float], is_relative: bool) -> None:
+    """For drawn limits of all loads, relative or in SI units, by sums and maxima over samples of a finer run, between the judge's instants."""
+    usual, needed = _finer()
+    limits = {
+        name: {"ratio": ratio} if is_relative else ratio * float(usual[name].max())
+        for name, ratio in zip(LOADS, ratios, strict=True)
+    }
+    judge = Judge(goals_of(SCENE.replace({"plan.payload_band": 0.0, "plan.limits": limits})), 1)
+    found = {use.figure: use for use in judge.assess(stretched(0.95)).uses}
+    for name, ratio in zip(LOADS, ratios, strict=True):
+        most = ratio * (usual[name] if is_relative else usual[name].max())
+        share = float((needed[name] / most).max())
+        assert found[name].share == pytest.approx(share, rel=2e-4)
+        assert found[name].met is (share <= 1.0) or abs(share - 1.0) < 2e-4
+
+
+def test_a_table_for_a_drive_is_the_motion_to_an_independent_master(result: PlanResult, tmp_path: Path) -> None:
+    """FMPy holds each line of the file for a sample: torques are the feedforward, and no more vibration remains than is stated."""
+    file, rate, counts, candidate = tmp_path / "drive.csv", 4000.0, 2**20, result.chosen.candidate
+    table, sampled = write_drive_table(result.goals, candidate, file, rate, counts=counts)
+    assert file.read_text().splitlines()[0].split(",")[1:3] == ["joint1.position [count]", "joint2.position [count]"]
+    rows = np.loadtxt(file, delimiter=",", skiprows=1)
+    length = len(rows)
+    assert length == math.ceil(result.chosen.time * rate - 1e-9) + 1
+    assert (rows[:, 1:7] == np.rint(rows[:, 1:7])).all()
+    degrees = result.drive_table(rate, "deg").values
+    np.testing.assert_allclose(rows[:, 1:3] * 360.0 / counts, degrees[0], atol=0.501 * 360.0 / counts)
+    still = np.repeat(rows[-1:], 400, axis=0)
+    still[:, 0] += np.arange(1, 401) / rate
+    rows = np.concatenate([rows, still])
+    names = [f"joint{j}.reference.{kind}" for kind in ("position", "velocity", "acceleration") for j in (1, 2)]
+    inputs = np.array(
+        [(row[0], *(row[1:7] * 2.0 * np.pi / counts)) for row in rows],
+        dtype=[("time", float), *((name, float) for name in names)],
+    )
+    outputs = ["joint1.torque", "joint2.torque", "end_effector.position.x", "end_effector.position.y"]
+    found = fmpy.simulate_fmu(
+        str(build_scene(result.goals.scene).path), stop_time=float(rows[-1, 0]), output_interval=1.0 / rate, input=inputs,
+        output=outputs, relative_tolerance=1e-8,
+    )  # fmt: skip
+    # outputs are those with the line before, which is held
+    torques, places = (np.column_stack([found[name] for name in pair]) for pair in (outputs[:2], outputs[2:]))
+    np.testing.assert_allclose(torques[1:length], table.torque[:-1], atol=2e-2 * abs(table.torque).max())
+    vibration = float(np.hypot(*(places[length + 1 :] - places[-1]).T).max())
+    assert vibration < sampled.residual + 2e-7
