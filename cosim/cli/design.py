@@ -107,6 +107,7 @@ def response(
     logs: list[Path],
     inputs: list[str] | None = None,
     outputs: list[str] | None = None,
+    mapping: list[str] | None = None,
     period: float | None = None,
     segment: float | None = None,
     reference: list[str] | None = None,
@@ -126,6 +127,8 @@ def response(
             --input a file of a response.
         inputs (--input SIGNAL): Input, or a sum: joint1.torque+joint1.disturbance; may be repeated. Default: none, for a response.
         outputs (--output SIGNAL): Output; may be repeated. Default: none, for a response.
+        mapping (--map COLUMN=SIGNAL): What a column of the logs is, as for `flexfmu identify`: M1=joint1.torque*1e-3; may be repeated.
+            Default: by the names.
         period (SECONDS): Period of the excitation, of which the first is left out. Default: Welch's method.
         segment (SECONDS): Length of Welch's segments. Default: eight over the log.
         reference (SIGNAL): What excites a closed loop; may be repeated. Default: the input.
@@ -138,6 +141,7 @@ def response(
     from flexfmu.cosim.design.response.estimate import estimate_response
     from flexfmu.cosim.design.response.response import FrequencyResponse
     from flexfmu.cosim.engine.files import replacing, write_whole
+    from flexfmu.cosim.engine.measured import parse_mapping
     from flexfmu.cosim.reports.terminal import titled_table
 
     if not inputs and not outputs and len(logs) == 1:
@@ -148,6 +152,7 @@ def response(
         found = estimate_response(
             logs, inputs, outputs, period=period, segment=segment, reference=reference or (), held=not continuous,
             between=_interval("between", between), band=_interval("band", band),
+            mapping=dict(map(parse_mapping, mapping or ())),
         )  # fmt: skip
     fitted, files = found.modes(modes), list[Path]()
     if out is not None:

@@ -709,6 +709,7 @@ def frequency_response(
     between: tuple[float, float] | None = None,
     band: tuple[float, float] | None = None,
     held: bool = True,
+    mapping: Mapping[str, str] = MappingProxyType({}),
 ) -> FrequencyResponse:
     """Estimate a frequency response from logs of a robot or of runs, with standard errors and coherence.
 
@@ -732,6 +733,7 @@ def frequency_response(
         band: lowest and highest frequency [Hz].
         held: whether the input is held between samples, as a controller's torque is: then the response is that of held values. A log
             that is resampled, since its steps aren't equal, gives one of continuous signals.
+        mapping: column of the logs → ``signal*factor+offset``, as for `identify`.
 
     Returns:
         The response at the excited frequencies.
@@ -741,11 +743,13 @@ def frequency_response(
         InputError: a signal doesn't exist or has no number, a log is too short, or nothing is excited.
     """
     from flexfmu.cosim.design.response.estimate import estimate_response
+    from flexfmu.cosim.engine.measured import as_mapped
 
     logs = log if isinstance(log, Sequence) and not isinstance(log, str) else [log]
     several = [[each] if isinstance(each, str) else [*each] for each in (input, output, reference)]
     return estimate_response(
-        logs, *several[:2], period=period, skip=skip, segment=segment, reference=several[2], between=between, band=band, held=held
+        logs, *several[:2], period=period, skip=skip, segment=segment, reference=several[2], between=between, band=band, held=held,
+        mapping={column: as_mapped(text) for column, text in mapping.items()},
     )  # fmt: skip
 
 

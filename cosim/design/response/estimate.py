@@ -14,8 +14,9 @@ methods of system identification, Automatica 17 (1981), for the instruments.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from scipy.signal import detrend, get_window
 from flexfmu.cosim.control.controllers.joints import unit_of
 from flexfmu.cosim.design.response.response import ComplexArray, FrequencyResponse
 from flexfmu.cosim.engine.errors import DataWarning, InputError
-from flexfmu.cosim.engine.measured import Log, read_log
+from flexfmu.cosim.engine.measured import Log, Mapped, read_log
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.trajectories.jets import RealArray
@@ -61,12 +62,15 @@ def estimate_response(
     between: tuple[float, float] | None = None,
     band: tuple[float, float] | None = None,
     held: bool = True,
+    mapping: Mapping[str, Mapped] = MappingProxyType({}),
 ) -> FrequencyResponse:
     """Estimate a response; see `flexfmu.frequency_response`."""
     found, step, even, units = list[tuple[RealArray, RealArray, RealArray]](), 0.0, True, dict[str, str]()
     n, m = len(inputs), len(outputs)
     for log in logs:
-        signals, own, resampled, units = _signals(log, (*inputs, *outputs, *(reference or inputs)), between, period)
+        signals, own, resampled, units = _signals(
+            log, (*inputs, *outputs, *(reference or inputs)), between, period, mapping
+        )
         if step and abs(own - step) > UNEVEN * step:
             raise InputError(f"the logs have different sample times, {1e3 * step:g} and {1e3 * own:g} ms: resample one")
         step, even = own, even and not resampled
@@ -90,14 +94,18 @@ def estimate_response(
 
 
 def _signals(
-    log: Log | Run, names: Sequence[str], between: tuple[float, float] | None, period: float | None
+    log: Log | Run,
+    names: Sequence[str],
+    between: tuple[float, float] | None,
+    period: float | None,
+    mapping: Mapping[str, Mapped],
 ) -> tuple[RealArray, float, bool, dict[str, str]]:
     """Signals (len(names), N) at equal steps, the step [s], whether they were resampled, and units; a name may be a sum, ``a+b``."""
     what = Path(log) if isinstance(log, str) else log if isinstance(log, Path) else "the log"
     terms = {term.strip() for name in names for term in name.split("+")}
     source: Any = log.recording if isinstance(log, Run) else log
     given = source.units if isinstance(source, Recording) else {}
-    recording = read_log(source, {}, {term: given.get(term) or unit_of(term) for term in sorted(terms)})
+    recording = read_log(source, mapping, {term: given.get(term) or unit_of(term) for term in sorted(terms)})
     if missing := terms - {*recording.columns}:
         raise InputError(f"{what} has no signal {min(missing)!r}")
     # of instants that appear twice, the values after the jump

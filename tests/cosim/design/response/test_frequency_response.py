@@ -81,7 +81,21 @@ def test_standard_errors_hold_in_a_closed_loop(way: str) -> None:
 def test_the_command_estimates_a_response(tmp_path: Path) -> None:
     """Of a log in a file; with the number of modes that it has, though none is given."""
     closed_loop(multisine(4), 2e-5, 0).write(tmp_path / "log.csv")
-    options = ["--input", "u", "--output", "y", "--period", "2", "--between", "0:9", "--band", "1:150", "--json"]
+    options = [
+        "--map",
+        "u=M1*1",
+        "--input",
+        "M1",
+        "--output",
+        "y",
+        "--period",
+        "2",
+        "--between",
+        "0:9",
+        "--band",
+        "1:150",
+        "--json",
+    ]
     result = CliRunner().invoke(app, ["response", str(tmp_path / "log.csv"), *options])
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
