@@ -277,9 +277,11 @@ class Judge:
             ResultsError: a run failed.
         KeyboardInterrupt: after Ctrl-C, which ends a run early.
         """
-        key = ["judged", len(self.variations), candidate.content]
-        found = self._journal.kept(key, Judged, lambda: self._judged(candidate, given=given))
-        return Assessment(candidate, *found)
+        place = len(self.variations), "given" if given else candidate
+        if place not in self.goals.judged:
+            key = ["judged", len(self.variations), candidate.content]
+            self.goals.judged[place] = self._journal.kept(key, Judged, lambda: self._judged(candidate, given=given))
+        return Assessment(candidate, *self.goals.judged[place])
 
     def _judged(self, candidate: Candidate, *, given: bool) -> Judged:
         prepared = candidate.prepared()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -103,6 +103,7 @@ class Goals:
         limits: by name.
         clearance: where the end effector may go.
         payload: mass that the planned scene has [kg]; None for that of `scene`.
+        judged: what judges of these goals have found, so that none runs a motion again: by number of robots and motion.
     """
 
     scene: Scene
@@ -110,6 +111,7 @@ class Goals:
     limits: Mapping[str, Limit]
     clearance: Clearance
     payload: float | None = None
+    judged: dict[tuple[int, Any], Any] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @cached_property
     def trace(self) -> RealArray:
