@@ -187,7 +187,8 @@ def table_of(path: Path) -> LogTable:
     try:
         text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
-        raise SignalFileError(f"can't read {path}: {getattr(error, 'strerror', None) or error}") from error
+        reason = getattr(error, "strerror", None) or "it isn't UTF-8 text, as CSV files are"
+        raise SignalFileError(f"can't read {path}: {reason}") from error
     numbered = [each for each in enumerate(text.splitlines(), 1) if each[1].strip() and not each[1].startswith("#")]
     lines = [line for _, line in numbered]
     separator = max(",;\t", key="".join(lines[:1]).count)

@@ -467,8 +467,10 @@ def channel(
     time, values = recording.time[known], column.values[known]
     if time.size < LEAST:
         where = " in the segments" if segments else ""
+        ends = f"the log goes from {recording.time[0]:g} to {recording.time[-1]:g} s"
         raise InputError(
-            f"{name}: {signal} has {time.size} values{where}, at least {LEAST} are needed: give a longer log"
+            f"{name}: {signal} has {time.size} values{where}, at least {LEAST} are needed: {ends}; give a longer "
+            f"{'segment' if segments else 'one'}, or leave the column out"
         )
     step = float(np.median(np.diff(time)))
     distinct = _distinct(values)

@@ -348,9 +348,18 @@ class Identification(Rows):
 
     def tables(self) -> Iterator[Table]:
         """Yield the tables of the page and of the terminal."""
+        logs = {each.log for each in self.signals}
+        only = f" of {next(iter(logs))}" if len(logs) == 1 else " of the logs"
         for title, group in (("Parameters", self.estimates), ("Sensors", self.sensors)):
             rows = [
-                [each.name, _with_error(each), _interval(each), f"{each.start:.5g}", shown_unit(each.unit), each.kept]
+                [
+                    each.name.removesuffix(only),
+                    _with_error(each),
+                    _interval(each),
+                    f"{each.start:.4g}",
+                    shown_unit(each.unit),
+                    each.kept,
+                ]
                 for each in group
             ]
             note = "Value ± standard error; the interval is of 95 % confidence."
@@ -371,8 +380,8 @@ class Identification(Rows):
             yield Table("Strong correlations", ["Parameter", "with", "Correlation"], pairs)
         rows = [
             [
-                f"{each.name} of {each.log}",
-                *(f"{value:.4g} {shown_unit(each.unit)}".rstrip() for value in (*each.rms, each.noise)),
+                f"{each.name} of {each.log}".removesuffix(only),
+                *(f"{value:.4g} {shown_unit(each.unit)}".rstrip() for value in each.rms),
                 "white" if each.order == 0 else f"order {each.order}",
                 f"{each.independence:.2g}",
                 f"{each.moving:.3g}",
@@ -381,10 +390,7 @@ class Identification(Rows):
         ]
         note = "Independence: probability that residuals independent of the motion look like these. Moving: residuals in motion over those at rest."
         yield Table(
-            "Measured minus simulated",
-            ["Signal", "RMS before", "after", "Noise", "Colour", "Independence", "Moving"],
-            rows,
-            note,
+            "Measured minus simulated", ["Signal", "RMS before", "after", "Noise", "Independence", "Moving"], rows, note
         )
         rows = [
             [
@@ -511,7 +517,7 @@ def _with_error(each: Estimated) -> str:
 def _interval(each: Estimated) -> str:
     if each.kept:
         return "–"
-    return f"{each.interval[0]:.5g} to {each.interval[1]:.5g}"
+    return f"{each.interval[0]:.4g} to {each.interval[1]:.4g}"
 
 
 def joined(names: Sequence[str]) -> str:

@@ -114,7 +114,8 @@ def parse_free(text: str) -> tuple[str, float | None, float, float]:
     if len(numbers) < 2:
         return key.strip(), numbers[0] if numbers else None, -math.inf, math.inf
     if numbers[0] >= numbers[1]:
-        raise InputError(f"{key}: bounds must ascend, got {value}: write {key}={numbers[1]:g}:{numbers[0]:g}")
+        remedy = f"{numbers[1]:g}:{numbers[0]:g}" if numbers[0] > numbers[1] else f"{numbers[0]:g} for a first value"
+        raise InputError(f"{key}: bounds must ascend, got {value}: write {key}={remedy}")
     return key.strip(), None, numbers[0], numbers[1]
 
 
@@ -141,9 +142,11 @@ def parse_log(text: str) -> LogSource:
         InputError: there is no such file, or the text has another form.
     """
     path, colon, changes = text.rpartition(":")
-    if not colon or Path(text).exists() or "=" not in changes:
+    if not colon or Path(text).exists() or not Path(path).exists():
         path, changes = text, ""
-    if Path(path).is_dir() or not Path(path).exists():
+    if Path(path).is_dir():
+        raise InputError(f"{path} is a folder: name the logs in it")
+    if not Path(path).exists():
         raise InputError(f"there is no log {path}")
     return LogSource(path, dict(parse_setting(each) for each in split_values(changes, path)) if changes else {})
 
@@ -157,17 +160,24 @@ def parse_segment(text: str) -> tuple[float, float]:
     try:
         begin, end = (float(each) for each in text.split(":"))
     except ValueError:
-        begin, end = 0.0, 0.0
+        begin, end = math.nan, math.nan
     if not -math.inf < begin < end < math.inf:
-        raise InputError(f"a segment is FROM:TO in s, 0.1:0.6 for example, got {text!r}")
+        raise InputError(f"a segment is FROM:TO in s with ascending ends, 0.1:0.6 for example, got {text!r}")
     return begin, end
 
 
 def parse_sensors(text: str | None, usual: Collection[str]) -> Collection[str]:
-    """What is unknown of sensors, from names with commas; ``none`` for nothing."""
+    """What is unknown of sensors, from names with commas; ``none`` for nothing.
+
+    Raises:
+        InputError: ``none`` is one of several.
+    """
     if text is None:
         return usual
-    return () if text.strip() == "none" else [each.strip() for each in text.split(",")]
+    names = [each.strip() for each in text.split(",")]
+    if "none" in names and len(names) > 1:
+        raise InputError(f"none stands alone, got {text!r}: leave it out, or the others")
+    return () if names == ["none"] else names
 
 
 Free = Iterable[str] | Mapping[str, float | tuple[float, float]]
@@ -785,7 +795,11 @@ def _first_delay(experiment: Experiment, run: Recording) -> float:
     for each in experiment.channels:
         simulated, _ = replace(each, time=run.time).simulated(run, 0.0)
         pairs.append((TimedValues(each.time, each.values), TimedValues(run.time, simulated)))
-    return estimate_delay(pairs).seconds
+    try:
+        return estimate_delay(pairs).seconds
+    except InputError as error:
+        text = str(error).removesuffix("; give it")
+        raise InputError(f"{experiment.name}: {text}; check the columns' units, or take another log") from None
 
 
 def _check_likeness(experiment: Experiment, run: Recording, delay: float, name: str) -> None:
