@@ -60,6 +60,12 @@ REFERENCES, ANGLES, TORQUES = (
 DIFFERENCES = 6
 """Order of the differences that show the noise of measured angles."""
 
+HELD = 0.5
+"""Part of a signal's changes that are jumps, from which on it counts as held."""
+
+FINE = 1e12
+"""Counts of a turn, and parts of a unit, in place of a sensor's rounding."""
+
 SAME = 8
 """Equal values in a row from which on a sensor's rounding hides its noise."""
 
@@ -126,16 +132,22 @@ class Channel:
         return self.name if self.part is None else self.name.rpartition(" ")[0]
 
     def simulated(self, recording: Recording, delay: float) -> tuple[RealArray, RealArray]:
-        """Return the signal that is simulated with a delay [s], and its derivative by the negative delay (N,)."""
+        """Return the signal that is simulated with a delay [s], and its derivative by the negative delay (N,); over samples for a held one."""
         if self.part is not None:
             turn = -2j * pi * self.time
             (value,) = (self.part * recording[each].values * np.exp(turn * delay) for each in self.parts)
             return value.real, -(turn * value).real
-        time = self.time - delay
-        found = np.zeros((2, time.size))
-        for output, factor in self.parts.items():
-            found += factor * sampled(recording.time, recording[output], time)
-        return found[0], found[1]
+        value, slope = self._at(recording, self.time - delay)
+        changes = np.abs(sum(factor * np.diff(recording[key].values) for key, factor in self.parts.items()))
+        if changes[np.diff(recording.time) == 0.0].sum() > HELD * changes.sum() > 0.0:
+            later, earlier = (self._at(recording, self.time - delay + shift)[0] for shift in (self.step, -self.step))
+            slope = (later - earlier) / (2.0 * self.step)
+        return value, slope
+
+    def _at(self, recording: Recording, time: RealArray) -> RealArray:
+        """The signal and its time derivative (2, N)."""
+        parts = [factor * sampled(recording.time, recording[key], time) for key, factor in self.parts.items()]
+        return np.asarray(sum(parts))
 
 
 def sampled(points: RealArray, column: Column, time: RealArray) -> RealArray:
@@ -420,6 +432,7 @@ def scene_experiment(
             f"{'drive the robot' if driving else 'are no outputs of it'}; map a column to one of "
             f"{', '.join(sorted(set(known) - {*driving, *REFERENCES, *ANGLES}))}"
         )
+    scene = with_exact_sensors(scene)
     channels = tuple(channel(recording, each, parts_of(each, scene, known), start, segments, name) for each in compared)
     outputs = sorted({output for each in channels for output in each.parts})
     simulate = SceneSimulation(scene, fmu_path, outputs, loop, stop_time)
@@ -433,6 +446,21 @@ def scene_experiment(
         return np.hstack([velocity, np.tanh(velocity / slow), acceleration])
 
     return Experiment(name, channels, simulate, planned.stop_time, bool(driving), scene, motion)
+
+
+def with_exact_sensors(scene: Scene) -> Scene:
+    """The scene whose sensors neither round nor add noise: a log has its own, and rounding in a loop depends on the least change of a parameter."""
+    changes: dict[str, Any] = {}
+    for place, each in enumerate(scene.imperfection):
+        for key, value in (
+            ("counts_per_turn", FINE),
+            ("resolution", 1.0 / FINE),
+            ("standard_deviation", 0.0),
+            ("half_width", 0.0),
+        ):
+            if getattr(each, key, None) is not None:
+                changes[f"imperfection[{place}].{key}"] = value
+    return scene.replace(changes) if changes else scene
 
 
 def once(recording: Recording, name: str) -> Recording:

@@ -295,7 +295,8 @@ def free_parameters(
     known = scene_values(scene)
     own = {name: each.value for name, each in known.items() if not name.startswith("start.")}
     chosen = _chosen(free, priors, own, scene.name, _short)
-    changes = {known[each.name].key: each.start for each in chosen if each.start != own[each.name]}
+    # effects that the scene lacks; of others the controllers' models keep the scene's values
+    changes = {known[each.name].key: each.start for each in chosen if own[each.name] == 0.0 != each.start}
     base = scene.replace(changes) if changes else scene
     show("building the robot", None)
     variables = {each.name: each for each in open_fmu(build_scene(base).path).description.modelVariables}
