@@ -71,6 +71,9 @@ MANY_PER_START = 8
 SPREAD = 2.0
 """Factor of first values to both sides, of parameters without bounds."""
 
+LEAST_ERROR = 1e-150
+"""Standard error of what isn't determined, a held signal's delay for example."""
+
 EXTREME = 6.0
 """Whitened residual that counts as an outlier."""
 
@@ -660,7 +663,7 @@ class _Study:
         errors = np.sqrt(np.diag(solution.covariance))
         # noise of what drives the simulation isn't in the residuals alone
         driven = np.sqrt(np.diag(solution.covariance + problem.driven(solution)))
-        more = (driven / errors).tolist()
+        more = (driven / np.maximum(errors, LEAST_ERROR)).tolist()
         intervals = [
             (x - factor * (x - low), x + factor * (high - x))
             for (low, high), x, factor in zip(intervals, solution.unknowns.tolist(), more, strict=True)
@@ -709,7 +712,7 @@ class _Study:
             )
             for j, name in enumerate(problem.labels[count:], count)
         ]
-        wider = errors / np.sqrt(np.diag(solution.covariance))
+        wider = errors / np.maximum(np.sqrt(np.diag(solution.covariance)), LEAST_ERROR)
         covariance = (solution.covariance * np.outer(wider, wider))[:count, :count]
         return Identification(
             self._name,
