@@ -365,7 +365,7 @@ class Problem:
             scores[key] = scores[key] + part if key in scores else part
             begin = end
         for part in scores.values():
-            lags = round(part.shape[0] ** (1.0 / 3.0))
+            lags = round(part.shape[0] ** 0.5)
             total += part.T @ part
             for lag in range(1, lags + 1):
                 product = (1.0 - lag / (lags + 1.0)) * (part[lag:].T @ part[:-lag])
