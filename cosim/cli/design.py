@@ -674,7 +674,7 @@ def plan(
         robust: Evaluate the chosen motion in richer models too.
         restart: Discard what an interrupted plan for another scene or other limits has left in the folder. Default: refuse.
         export (FILE.csv): Also write the planned motion as a drive reads it: position, velocity, acceleration and torque of both joints at
-            each sample; it is judged what residual vibration these samples leave.
+            each sample; it is judged what residual vibration these samples leave. Default: none.
         rate (HZ): Samples a second of --export. Default: 4000.
         unit (UNIT): Angles of --export: rad, deg or turn. Default: rad.
         counts (N): Encoder counts of a joint's turn: angles of --export are whole counts. Default: no rounding.
