@@ -39,9 +39,9 @@ def coverage(experiments: list[Experiment], true: tuple[float, ...], sensors: tu
 
 @pytest.mark.slow
 def test_drawn_robots_are_found_from_responses() -> None:
-    """Payload and damping from one response with an unknown delay: at least 20 of 24 draws, with errors known up to a factor."""
+    """Payload and damping from one response with an unknown delay: at least 7 of 8 draws, with errors known up to a factor."""
     inside = np.zeros(2)
-    for seed in range(24):
+    for seed in range(8):
         step = (None, 1e-3)[seed % 2]
         empty = FrequencyResponse(F, np.ones(F.size), TORQUE, ANGLE, sample_time=step)
         model = spectrum_experiment(ROBOT, empty, {}, END, name="r")
@@ -52,14 +52,14 @@ def test_drawn_robots_are_found_from_responses() -> None:
         values = real + 1j * imaginary + error * (rng.normal(size=F.size) + 1j * rng.normal(size=F.size))
         measured = FrequencyResponse(F, values, TORQUE, ANGLE, {}, 3.0 * error, sample_time=step)
         inside += coverage([spectrum_experiment(ROBOT, measured, {}, END, name="r")], true, ("delay", "gain"))
-    assert np.all(inside >= 20)
+    assert np.all(inside >= 7)
 
 
 @pytest.mark.slow
 def test_drawn_robots_are_found_from_modes() -> None:
-    """Payload and damping from two modes with their errors, which aren't taken from the residuals: at least 34 of 40 draws."""
+    """Payload and damping from two modes with their errors, which aren't taken from the residuals: at least 12 of 14 draws."""
     inside = np.zeros(2)
-    for seed in range(40):
+    for seed in range(14):
         rng = np.random.default_rng(seed)
         true = rng.uniform(4.0, 8.0), rng.uniform(0.05, 0.2)
         table = {"frequency": np.array([50.0, 80.0]), "damping_ratio": np.array([0.02, 0.02])}
@@ -68,7 +68,7 @@ def test_drawn_robots_are_found_from_modes() -> None:
             table |= {key: own * (1.0 + share * rng.normal(size=2)), f"{key}_error": share * own}
         experiment = spectrum_experiment(LOCKED, ModeTable(table), {}, END, name="m")
         inside += coverage([experiment], true, ("delay", "offset"))
-    assert np.all(inside >= 34)
+    assert np.all(inside >= 12)
 
 
 def test_simulated_modes_are_those_of_the_model() -> None:

@@ -14,7 +14,7 @@ from flexfmu.cosim.design.margins.margins import LoopMargins, is_stable, pose_ma
 from flexfmu.trajectories.jets import RealArray
 
 T = 1e-3
-LOOPS = 100
+LOOPS = 30
 
 
 def block(a: RealArray, b: RealArray, c: RealArray, d: RealArray, sample_time: float, offset: float) -> LinearBlock:
