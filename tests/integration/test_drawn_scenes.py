@@ -28,7 +28,7 @@ from flexfmu.trajectories.errors import TrajectoryError
 
 ALUMINIUM = {"density": 2710.0, "youngs_modulus": 70e9}
 STEEL = {"density": 7850.0, "youngs_modulus": 210e9}
-LOOSE, TIGHT = 1e-6, 1e-8
+LOOSE, TIGHT = 1e-6, 1e-7
 
 
 def side_of(mechanism: Mechanism, start: tuple[float, float]) -> str:

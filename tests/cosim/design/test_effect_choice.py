@@ -34,7 +34,7 @@ from flexfmu.model.scene.schema import Scene
 
 ROOT = Path(__file__).parents[3]
 OPEN = load_scene(ROOT / "examples" / "effects_auto.toml")
-TORQUE = {"effects.of": ["peak_torque_1"], "effects.tolerance": 0.5}
+TORQUE = {"effects.of": ["peak_torque_1"], "effects.tolerance": 0.5, "trajectory.dwell": 0.02}
 """A wish that rigid links fulfil."""
 
 
