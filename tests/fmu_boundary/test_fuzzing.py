@@ -17,7 +17,7 @@ from object_files import COMPILER, object_files, program, run
 from flexfmu.fmu_build.sources import c_files
 from flexfmu.fmu_build.toolchain import FmiVersion
 
-SEQUENCES = int(os.environ.get("FLEXFMU_FUZZ", "250"))
+SEQUENCES = int(os.environ.get("FLEXFMU_FUZZ", "100"))
 FEWER = 20
 STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-type-limits")  # zero inputs make comparisons trivial
 ADDRESS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
