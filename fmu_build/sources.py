@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Literal
 
-from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.toolchain import COMMON_FLAGS, FMI_HEADERS, SOLVER_FOLDERS, FmiVersion, fmi_header_folder
 from flexfmu.model.symbolic import SharedLibrary
 
@@ -95,6 +94,8 @@ class Sources:
 
     def archive_files(self) -> dict[str, bytes]:
         """Path below the FMU's root → content, without binaries."""
+        from flexfmu.fmu_build.templating import render  # loads Jinja, which only a build needs
+
         code = {f"sources/{name}": text for name, text in (self.generated | self.runtime).items()}
         # build description for tools that compile the sources
         rebuild = render(

@@ -54,7 +54,7 @@ OPTIONAL = ("distributed", "exudyn", "mcap", "pandas", "pyarrow", "ruckig", "top
 HEAVY = (*OPTIONAL, "casadi", "control", "matplotlib", "fmpy", "lief")
 """What a light module may put off loading, by an import within a function of what needs it."""
 
-SLOW = ("scipy", "threadpoolctl", "concurrent", "html")
+SLOW = ("scipy", "threadpoolctl", "concurrent", "html", "jinja2")
 """What takes as long to load as a scene takes to read, or loads `logging`: functions that runs don't need may import it."""
 
 SELDOM = (
