@@ -524,7 +524,7 @@ class Problem:
         return [(float(max(a, low)), float(min(b, high))) for (a, b), low, high in low_high], sorted(curved)
 
     def _corrected(self, found: Solution, white: RealArray, place: int, change: float = 0.0) -> tuple[float, RealArray]:
-        """Sum of squares once all unknowns but one are best, to first order, and their steps in terms of the sizes (n,), that one's being given."""
+        """Return the least sum of squares for a given step of one unknown, to first order, and the steps of all (n,), relative to their sizes."""
         scaled = found.jacobian * self.sizes
         others = np.delete(np.arange(scaled.shape[1]), place)
         left = white - scaled[:, place] * change

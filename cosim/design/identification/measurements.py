@@ -449,7 +449,7 @@ def scene_experiment(
 
 
 def with_exact_sensors(scene: Scene) -> Scene:
-    """The scene whose sensors neither round nor add noise: a log has its own, and rounding in a loop depends on the least change of a parameter."""
+    """The scene without rounding and noise of its sensors: those of the log are other ones, and rounding in a loop makes results rough."""
     changes: dict[str, Any] = {}
     for place, each in enumerate(scene.imperfection):
         for key, value in (
