@@ -16,7 +16,7 @@ from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import ArchiveError, BuildError, PlatformError
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.naming import Naming
-from flexfmu.fmu_build.toolchain import FmiVersion, Platform, find_compiler, find_platforms, native_platform
+from flexfmu.fmu_build.toolchain import WASM, FmiVersion, Platform, find_compiler, find_platforms, native_platform
 from flexfmu.model.symbolic import SymbolicBlock
 
 if TYPE_CHECKING:  # a cached build avoids the import of CasADi (a quarter of a second)
@@ -75,10 +75,11 @@ def build_fmu(
 
     Args:
         model: what becomes an FMU, or a function that returns a plant, called only if the FMU must be built.
-        output: file to write; None leaves the FMU in the cache.
+        output: file to write, for ``wasm32`` the folder of the module; None leaves the FMU in the cache.
         key: text that determines the model; the cache also considers the package's sources and the versions of flexfmu
             and CasADi. Without a key, the generated C code determines whether the FMU is in the cache.
-        platforms: FMI 2.0 platform names, also for an FMU 3.0; None for this machine's.
+        platforms: FMI 2.0 platform names, also for an FMU 3.0; None for this machine's. ``wasm32`` alone gives a WebAssembly module, see
+            `flexfmu.fmu_build.wasm_module`.
         step: communication step [s] of the default experiment; None for a block's sample time, a millisecond for a motion.
         tolerance: relative tolerance of the default experiment, also used if the importer passes none.
         stop_time: end [s] of the default experiment; None for a thousand samples of a block, or the duration of a motion.
@@ -100,6 +101,8 @@ def build_fmu(
         raise BuildError(f"naming is structured or flat, got {naming!r:.60}")
     standard = cast(FmiVersion, str(fmi))
     targets = find_platforms(platforms)
+    if targets == (WASM,) and standard != "2":
+        raise PlatformError(f"{WASM.name} is built for FMI 2.0 alone; leave out --fmi")
     # the default experiment lasts as long as the motion, or a thousand samples
     usual_step, usual_end = DefaultExperiment.step, DefaultExperiment.stop_time
     if isinstance(model, SymbolicBlock):
@@ -139,7 +142,11 @@ def build_fmu(
     if content is None:
         content = _build(make, targets, standard, cache, progress)
         stored = _keep(name, content, is_needed=output is None)
-    if output is not None:
+    if output is not None and targets == (WASM,):
+        from flexfmu.fmu_build.wasm_module import write_module
+
+        write_module(content, output)
+    elif output is not None:
         write_atomically(output, content)
 
     # GUID and size of the code, read from the file

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from flexfmu.fmu_build import toolchain
 from flexfmu.fmu_build.cache import content_hash, read_cached, store
 from flexfmu.fmu_build.errors import ArchiveError
+from flexfmu.fmu_build.sources import Sources, folder_texts
 from flexfmu.fmu_build.temporary import temporary_folder
-
-if TYPE_CHECKING:
-    from flexfmu.fmu_build.sources import Sources
 
 _UNIT_SIZE = 100_000
 """Length of what is compiled as one [characters]; some units can be compiled in parallel."""
@@ -44,7 +41,8 @@ def compile_library(
     """
     # one job per unit, with flags for generated code or runtime
     # the table with the GUID stays by itself, since another payload changes it alone
-    runtime = _units(sources.runtime, lambda name: name not in sources.joined)
+    host = folder_texts(compiler.platform.host) if compiler.platform.host else {}
+    runtime = _units(sources.runtime | host, lambda name: name not in sources.joined)
     seldom = {name for name in sources.generated if name.removeprefix("model_").removesuffix(".c") in _SELDOM}
     often, rest = (
         _units(
@@ -53,7 +51,7 @@ def compile_library(
         )
         for is_seldom in (False, True)
     )
-    texts = sources.generated | sources.runtime | runtime | often | rest
+    texts = sources.generated | sources.runtime | host | runtime | often | rest
     first = toolchain.FIRST_HEADER if toolchain.FIRST_HEADER[-1] in texts else ()
     flags_of = ((runtime, runtime_flags), (often, generated_flags), (rest, (*generated_flags, "-O1")))
     jobs = [toolchain.CompileJob(name, (*flags, *first)) for units, flags in flags_of for name in units]

@@ -118,18 +118,21 @@ def runtime_sources(kind: RuntimeKind = "plant", fmi: FmiVersion = "2") -> dict[
             scalar and on lanes, that generated code calls; ``processor``: tells how many lanes this processor has.
         fmi: version of FMI.
     """
-    root = files("flexfmu.fmu_build") / "c-runtime"
     layer = _FMI_FOLDERS.get((kind, fmi), ())
     headers = [fmi_header_folder() / name for name in FMI_HEADERS[fmi]] if layer else []
     texts = {entry.name: entry.read_text(encoding="utf-8") for entry in headers}
     for folder in (*_FOLDERS[kind], *layer):
-        for entry in (root / folder).iterdir():
-            if entry.name.endswith((".c", ".h")):
-                text = entry.read_text(encoding="utf-8")
-                for old, new in _FMI3_TEXTS if fmi == "3" and folder in _SHARED else ():
-                    text = text.replace(old, new)
-                texts[entry.name] = text
+        for name, text in folder_texts(folder).items():
+            for old, new in _FMI3_TEXTS if fmi == "3" and folder in _SHARED else ():
+                text = text.replace(old, new)
+            texts[name] = text
     return dict(sorted(texts.items()))
+
+
+def folder_texts(folder: str) -> dict[str, str]:
+    """C files and headers of a folder of the runtime, name → text."""
+    entries = (files("flexfmu.fmu_build") / "c-runtime" / folder).iterdir()
+    return {each.name: each.read_text(encoding="utf-8") for each in entries if each.name.endswith((".c", ".h"))}
 
 
 def c_files(names: Iterable[str]) -> tuple[str, ...]:

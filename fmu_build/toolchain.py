@@ -32,6 +32,7 @@ class Platform:
         compile_flags: flags for position-independent code.
         link_flags: flags that remove unused functions and symbols.
         zig_link_flags: further flags for zig's linker, for reproducible output.
+        host: folder of the C runtime with what only this platform needs; empty if there is none.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Platform:
     compile_flags: tuple[str, ...]
     link_flags: tuple[str, ...]
     zig_link_flags: tuple[str, ...] = ()
+    host: str = ""
 
     def folder(self, fmi: FmiVersion) -> str:
         """Folder below ``binaries/``; in FMI 3.0 the platform tuple, which names the processor on every machine."""
@@ -72,6 +74,23 @@ PLATFORMS = {
 On ARM, older importers and those that ignore the processor (fmpy) use the x86 name.
 """
 
+_EXPORTS = ("malloc", "free")
+WASM = Platform(
+    "wasm32",
+    ".wasm",
+    "wasm32-wasi",
+    (),
+    (
+        "-mexec-model=reactor",
+        "-s",
+        "-Wl,--gc-sections",
+        "-Wl,--export-dynamic",
+        *(f"-Wl,--export={name}" for name in _EXPORTS),
+    ),
+    host="wasm",
+)
+"""WebAssembly, for pages and Node: a module without imports, which isn't part of an FMU but has a folder of its own."""
+
 _SYSTEMS = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
 _X86, _ARM = ("x86_64", "amd64"), ("aarch64", "arm64")
 """Names of the processors."""
@@ -99,17 +118,21 @@ def native_platform() -> Platform:
 
 
 def find_platforms(names: Iterable[str] | None) -> tuple[Platform, ...]:
-    """Platforms by name, sorted and unique; the native platform if there are no names.
+    """Platforms by name, sorted and unique; the native platform if there are no names. ``wasm32`` stands alone.
 
     Names have the meaning of the standard on every machine: ``linux64`` is x86.
 
     Raises:
-        PlatformError: a name is unknown.
+        PlatformError: a name is unknown, or ``wasm32`` isn't alone.
     """
     wanted = sorted(set(names or ()))
+    if wanted == [WASM.name]:
+        return (WASM,)
+    if WASM.name in wanted:
+        raise PlatformError(f"{WASM.name} is no part of an FMU: build it by itself, without {', '.join(wanted[:-1])}")
     unknown = [name for name in wanted if name not in PLATFORMS]
     if unknown:
-        raise PlatformError(f"unknown platform '{unknown[0]}'; choose from {', '.join(PLATFORMS)}")
+        raise PlatformError(f"unknown platform '{unknown[0]}'; choose from {', '.join(PLATFORMS)}, {WASM.name}")
     return tuple(PLATFORMS[name] for name in wanted) or (native_platform(),)
 
 

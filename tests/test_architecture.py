@@ -89,6 +89,7 @@ ALONE = {
     "cosim.design.plans.sequential_programme": "the search's optimiser",
     "cosim.design.response.modal_fit": "modes of a response",
     "cosim.design.shapers.figure": "drawing",
+    "fmu_build.wasm_module": "the folder of a WebAssembly module",
     "cosim.engine.master.compiled_loop": "the loop in C",
     "cosim.engine.fmu.transfers": "values in and out of FMUs",
     "cosim.exchange.wrap": "an integrator around FMUs for model exchange",

@@ -40,7 +40,7 @@ def build(
     Args:
         scene (SCENE): A scene, or MODEL.py:NAME, a Python file, which is run, and the name of its model from flexfmu.ode, second_order, lagrangian
             or dae.
-        output (--output, -o FILE.fmu): Default: the scene's or model's name, here.
+        output (--output, -o FILE.fmu): A file, with --platform wasm32 a folder. Default: the scene's or model's name, here.
         enumerations: Make initial and integrator FMI enumerations. Default: Integers, since Maestro refuses them.
     """
     from flexfmu.cosim.experiment.scene_build import build_scene
@@ -57,14 +57,15 @@ def build(
             "progress": lambda text: show(text, None),
         }
 
+    suffix = "" if platform == ["wasm32"] else ".fmu"
     if (model := console.own_model(scene, settings)) is not None:
         with console.progress() as show:
-            built = build_fmu(model, output or Path(f"{model.name}.fmu"), **options(show))
+            built = build_fmu(model, output or Path(f"{model.name}{suffix}"), **options(show))
         console.print_result(json, asdict(built) | {"path": str(built.path)}, _where(built))
         return 0
     # choose effects where the scene leaves them open, then build
     robot = console.load_changed(scene, settings)
-    target = output or Path(f"{robot.name}.fmu")
+    target = output or Path(f"{robot.name}{suffix}")
     with console.progress() as show:
         if robot.is_open:
             from flexfmu.cosim.design.effects.choice import resolved

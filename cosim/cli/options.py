@@ -18,7 +18,8 @@ SHARED = """
     scene (SCENE): A scene file (TOML), or the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg.
     naming (CONVENTION): structured (link11.bending[1]) or flat (link11_bending_1), for tools that need it.
     fmi (VERSION): Version of the standard: 2 for FMI 2.0, 3 for FMI 3.0.
-    platform (NAME): linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.
+    platform (NAME): linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. wasm32, by itself, gives a WebAssembly
+        module for pages and Node. Default: this machine's.
     processes (-j, --processes N): Processes. Default: one for each processor.
     sandbox: Run what files bring without network and with the right to write into the folder of the results alone, within limits of
         memory, files and processes (Linux). Default: with your rights.

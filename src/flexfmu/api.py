@@ -415,7 +415,7 @@ def build(
             `dae` returns.
         output: file to write; None leaves the FMU in the cache.
         platforms: FMI platforms whose binaries the FMU gets: linux64, win64, darwin64, aarch64-linux, aarch64-darwin; None
-            for this machine's.
+            for this machine's. ``wasm32``, by itself, gives a WebAssembly module: ``output`` is its folder.
         naming: names of the FMU's variables, ``structured`` (``link11.bending[1]``) or ``flat`` (``link11_bending_1``).
         enumerations: whether the parameters ``initial`` and ``integrator`` are FMI Enumerations instead of Integers.
         fmi: version of FMI, 2 for 2.0 or 3 for 3.0, as number or text.
