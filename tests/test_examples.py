@@ -167,6 +167,8 @@ EXPECTED: dict[str, Check] = {
     # the largest speed of the arch of 0.2 m is twice its mean one: 2 * 0.2 m / 0.4 s, a little more aslant
     "own_trajectory.py": lambda lines, n: 20.0 < n[0][0] < 60.0 and 1.0 < n[1][0] < 1.05,
     # with the right payload the replayed torques are those of the log, with the wrong one they are a percent off
+    # base half-distance and damping of the shipped scene, from one table alone
+    "identify_paper.py": lambda lines, n: abs(n[0][0] / 0.1 - 1.0) < 5e-3 and abs(n[1][0] / 0.1357 - 1.0) < 0.02,
     "replay_log.py": lambda lines, n: max(n[0][-2:]) < 0.05 and min(n[1][-2:]) > 0.5,
     "ruckig_motion.py": planned(14),
     "toppra_motion.py": planned(200),
@@ -303,6 +305,7 @@ LEFT = {
     "export_slaves.py": "fmus/trajectory.fmu fmus/plant.fmu fmus/pd.fmu",
     "run_scene.py": "results.csv",
     "compare_measured.py": "comparison/comparison.html",
+    "identify_paper.py": "table7.csv",
     "compare_controllers.py": "comparison/comparison.html",
     "tune_loop.py": "tuned/tuned.toml",
     "ruckig_motion.py": "ruckig.csv",

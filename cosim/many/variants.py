@@ -128,7 +128,7 @@ def run_variants(
         raise InputError(
             f"variants need a whole number of processes from 1 on, got {processes}; give the number of processors to use"
         )
-    task = VariantTask(scene, build_scene(scene).path, measure, communication_step, tolerance, record)
+    task = VariantTask(scene, build_scene(scene, shared=True).path, measure, communication_step, tolerance, record)
     split = [Variant(_part(each, motion=True), _part(each, motion=False)) for each in variants]
     done = 0
 

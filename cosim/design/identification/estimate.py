@@ -32,6 +32,9 @@ STEP = 3e-3
 ROUNDS, SETTLED = 8, 0.05
 """Most fits with renewed models of the noise, and change of a parameter in terms of its standard error that ends them."""
 
+NEAR = 0.01
+"""Distance from the minimum that ends a fit, in terms of standard errors, roughly."""
+
 EXACT = 1e-9
 """Noise of a signal, relative to its range, that counts as none."""
 
@@ -173,7 +176,11 @@ class Problem:
         for number, each in enumerate(self.experiments):
             for channel in each.channels:
                 unknown = () if each.is_table else {*nuisances} - ({"offset"} if channel.part is not None else set())
-                covered = channel if channel.part is not None else _covered(channel, delays[number], each.stop_time)
+                covered = (
+                    channel
+                    if each.is_table or channel.part is not None
+                    else _covered(channel, delays[number], each.stop_time)
+                )
                 of = f"{channel.name} of {each.name}"
                 rows.append(
                     ResidualRow(
@@ -201,7 +208,9 @@ class Problem:
             [*(each.low for each in self.free), *(0.0 if n.startswith("gain") else -inf for n in names)]
         )
         self._high = np.array([*(each.high for each in self.free), *(inf for _ in names)])
-        self._known: tuple[RealArray, tuple[list[Recording], list[list[Recording]], list[float]]] | None = None
+        self._is_together = any(each.is_together for each in self.experiments)
+        self._base: tuple[RealArray, list[Recording]] | None = None
+        self._varied: tuple[RealArray, tuple[list[Recording], list[list[Recording]], list[float]]] | None = None
 
     @property
     def labels(self) -> list[str]:
@@ -243,8 +252,13 @@ class Problem:
         return {each.name: value for each, value in pairs if each.experiment in (None, experiment)}
 
     def at(self, unknowns: RealArray) -> list[Recording]:
-        """Recordings of all experiments; those of the last values are kept."""
-        return self._around(unknowns[: len(self.free)])[0]
+        """Recordings of all experiments; those of the last values are kept, with those around them where these cost hardly more."""
+        own = unknowns[: len(self.free)]
+        if self._is_together:
+            return self._around(own)[0]
+        if self._base is None or not np.array_equal(self._base[0], own):
+            self._base = own.copy(), self.recordings([own])[0]
+        return self._base[1]
 
     def simulated(
         self, row: ResidualRow, recording: Recording, unknowns: RealArray
@@ -283,19 +297,21 @@ class Problem:
         return found
 
     def _around(self, own: RealArray) -> tuple[list[Recording], list[list[Recording]], list[float]]:
-        """Recordings at values of the model's parameters, with each a little larger, then smaller, and the distances of both; all side by side,
-        and the last ones are kept."""
-        if self._known is None or not np.array_equal(self._known[0], own):
-            points, widths = [own], list[float]()
+        """Recordings at values of the model's parameters, with each a little larger, then smaller, and the distances of both."""
+        base = None if self._is_together else self.at(own)
+        if self._varied is None or not np.array_equal(self._varied[0], own):
+            points, widths = [own] if base is None else [], list[float]()
             for j, value in enumerate(own.tolist()):
                 step = STEP * max(float(self.sizes[j]), abs(value))
                 pair = [own.copy(), own.copy()]
                 pair[0][j], pair[1][j] = min(value + step, self._high[j]), max(value - step, self._low[j])
                 widths.append(float(pair[0][j] - pair[1][j]))
                 points += pair
-            base, *varied = self.recordings(points)
-            self._known = own.copy(), (base, varied, widths)
-        return self._known[1]
+            found = self.recordings(points)
+            if base is None:
+                base, *found = found
+            self._varied = own.copy(), (base, found, widths)
+        return self._varied[1]
 
     def priors(self, unknowns: RealArray) -> tuple[RealArray, RealArray]:
         """Residuals of what is known beforehand (k,), and their derivatives by the unknowns (k, n), negative as all others."""
@@ -327,7 +343,7 @@ class Problem:
             bounds=(self._low, self._high),
             x_scale=self.sizes,
             loss=self._loss,
-            ftol=1e-7,
+            ftol=max(1e-7, NEAR**2 / self.samples),
             xtol=1e-7,
             gtol=1e-9,
             max_nfev=40,
@@ -439,14 +455,32 @@ class Problem:
             # outliers aren't noise
             sizes = [OUTLIER * float(np.median(np.abs(each))) for each in taken]
             taken = tuple(np.clip(each, -size, size) for each, size in zip(taken, sizes, strict=True))
-        pairs = zip(self.rows, taken, strict=True)
-        found = []
-        for channel, each in ((row.channel, each) for row, each in pairs):
+        found = list[ColouredNoise]()
+        for row, each, fitted in zip(self.rows, taken, self._fitted(solution), strict=True):
+            channel = row.channel
+            # what is left after the fit is smaller than the noise, which counts where there are few values
+            each = each / sqrt(max(1.0 - fitted / each.size, 1.0 / each.size))
             least = (
                 EXACT * (float(np.ptp(channel.values)) or 1.0) if channel.errors is None else max(EXACT, channel.least)
             )
             found.append(fitted_noise(each, channel.pieces, channel.step, least, errors=channel.errors))
         return found
+
+    def _fitted(self, found: Solution) -> list[float]:
+        """Degrees of freedom that the fit has taken from each row's residuals."""
+        basis, sizes, _ = np.linalg.svd(found.jacobian * self.sizes, full_matrices=False)
+        leverage = (basis[:, sizes > 1e-10 * sizes[0]] ** 2).sum(axis=1)
+        ends = np.cumsum([row.channel.time.size for row in self.rows])
+        return [float(each.sum()) for each in np.split(leverage, ends)[:-1]]
+
+    def _freedom(self, found: Solution) -> float:
+        """Degrees of freedom of the estimates' variance, of which each row's noise has its share (F. Satterthwaite, Biometrics Bulletin 2, 1946)."""
+        if self.is_certain:
+            return CERTAIN
+        fitted, total = self._fitted(found), 0.0
+        for row, each, noise in zip(self.rows, fitted, found.noises, strict=True):
+            total += (each / sum(fitted)) ** 2 / max(row.channel.time.size - each - noise.order, 1.0)
+        return min(1.0 / total, float(found.freedom))
 
     def solve(self, start: RealArray | None = None) -> Solution:
         """Fit, model the noise, and fit again until both agree."""
@@ -480,7 +514,7 @@ class Problem:
         """Intervals of all unknowns, and places of those whose profiles aren't parabolas, which are profiled."""
         from scipy.special import stdtrit
 
-        quantile = float(stdtrit(found.freedom, 0.5 + 0.5 * level))
+        quantile = float(stdtrit(self._freedom(found), 0.5 + 0.5 * level))
         errors = np.sqrt(np.diag(found.covariance))
         ends = [(x - quantile * e, x + quantile * e) for x, e in zip(found.unknowns, errors, strict=True)]
         curved, count = set[int](), len(self.free)

@@ -204,7 +204,7 @@ def propose_motions(
         )
     if not (noise > 0.0 and sample_time > 0.0):
         raise InputError(f"noise and sample time must be positive, got {noise:g} and {sample_time:g} s")
-    path = build_scene(scene).path
+    path = build_scene(scene, shared=True).path
     known = comparable(scene, path)
     for each in signals:
         if "strain[" not in each and each not in known:

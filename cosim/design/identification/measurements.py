@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import ceil, comb, inf, pi
@@ -189,6 +189,7 @@ class Experiment:
         start: parameter of the FMU → value and standard deviation of where the simulation begins, as far as the log tells.
         drive: signals of the log that drive the simulation with their noise; None for none.
         is_table: whether rows are runs or modes, for which there are no sensors.
+        is_together: whether variants are simulated side by side, so that some more cost little.
     """
 
     name: str
@@ -199,6 +200,7 @@ class Experiment:
     scene: Scene | None = None
     motion: Callable[[RealArray], RealArray] | None = None
     is_table: bool = False
+    is_together: bool = False
     start: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     drive: LoggedSignals | None = None
 
@@ -280,6 +282,19 @@ class LoggedSignals:
 PLANNED_WITH = ("base_half_distance", "proximal.length", "distal.length")
 """Parameters of the FMU that the motion depends on as well."""
 
+
+def by_motion(
+    variants: Sequence[Mapping[str, float]],
+) -> Iterator[tuple[dict[str, float], list[int], list[dict[str, float]]]]:
+    """Yield what the motion depends on, as keys of the scene, the places of the variants that have it in common, and their other parameters."""
+    groups: dict[tuple[tuple[str, float], ...], list[int]] = {}
+    for i, each in enumerate(variants):
+        groups.setdefault(tuple((k, v) for k, v in each.items() if k in PLANNED_WITH), []).append(i)
+    for planned, members in groups.items():
+        rest = [{k: v for k, v in variants[i].items() if k not in PLANNED_WITH} for i in members]
+        yield {f"mechanism.{key}": value for key, value in planned}, members, rest
+
+
 DWELL = 0.05
 """Standstill that is simulated after a motion from a log [s], for negative delays."""
 
@@ -316,15 +331,11 @@ class SceneSimulation:
             ResultsError: a run failed.
             InputError: a value is out of range.
         """
-        groups: dict[tuple[tuple[str, float], ...], list[int]] = {}
-        for i, each in enumerate(variants):
-            groups.setdefault(tuple((k, v) for k, v in each.items() if k in PLANNED_WITH), []).append(i)
         found: dict[int, Recording] = {}
-        for planned, members in groups.items():
-            rest = [{k: v for k, v in variants[i].items() if k not in PLANNED_WITH} for i in members]
+        for planned, members, rest in by_motion(variants):
             simulation = self
             if planned:
-                scene = self._scene.replace({f"mechanism.{key}": value for key, value in planned})
+                scene = self._scene.replace(planned)
                 simulation = SceneSimulation(scene, self._fmu_path, self._outputs, self._loop, self._stop_time)
             found |= zip(members, simulation._runs(rest), strict=True)
         return [found[i] for i in range(len(variants))]
@@ -445,7 +456,8 @@ def scene_experiment(
         slow = 0.01 * float(abs(velocity).max(initial=0.0)) or 1.0
         return np.hstack([velocity, np.tanh(velocity / slow), acceleration])
 
-    return Experiment(name, channels, simulate, planned.stop_time, bool(driving), scene, motion)
+    together = drive == "motion"
+    return Experiment(name, channels, simulate, planned.stop_time, bool(driving), scene, motion, is_together=together)
 
 
 def with_exact_sensors(scene: Scene) -> Scene:
@@ -796,18 +808,16 @@ def table_experiment(scene: Scene, path: Path, name: str) -> Experiment:
     measured = [each.name for each in channels]
 
     def simulate(variants: Sequence[Mapping[str, float]]) -> list[Recording]:
-        found = []
-        for variant in variants:
-            planned = {f"mechanism.{key}": value for key, value in variant.items() if key in PLANNED_WITH}
+        found: dict[int, Recording] = {}
+        for planned, members, rest in by_motion(variants):
             robot = scene.replace(planned) if planned else scene
-            rest = {key: value for key, value in variant.items() if key not in PLANNED_WITH}
-            results = run_variants(robot, [{**row, **rest} for row in changes], measuring(measured))
+            results = run_variants(robot, [{**row, **each} for each in rest for row in changes], measuring(measured))
             if failed := next((each for each in results if each.error is not None), None):
                 raise ResultsError(f"{name}: {failed.changes} can't be simulated: {failed.error}")
-            values = {
-                key: np.array([each.value[key] for each in results if each.value], dtype=float) for key in measured
-            }
-            found.append(Recording(place, {key: Column(definition(key).unit, each) for key, each in values.items()}))
-        return found
+            table = np.array([[each.value[key] for key in measured] for each in results if each.value], dtype=float)
+            for i, block in zip(members, table.reshape(-1, len(rows), len(measured)), strict=True):
+                columns = zip(measured, block.T, strict=True)
+                found[i] = Recording(place, {key: Column(definition(key).unit, each) for key, each in columns})
+        return [found[i] for i in range(len(variants))]
 
     return Experiment(name, tuple(channels), simulate, 2.0 * len(rows), True, scene, is_table=True)

@@ -253,9 +253,6 @@ def identify_scene(
             for each, measured in zip(logs, spectra, strict=True):
                 changes = {key: value for key, value in each.changes.items() if measured is None or key != "pose"}
                 robot = base.replace({**changes, **extra}) if changes or extra else base
-                # parameters of the FMU need no other one
-                own = {key: value for key, value in changes.items() if _short(key) not in known}
-                built = base.replace({**own, **extra}) if own or extra else base
                 if is_table(each.log):
                     found.append(table_experiment(robot, Path(str(each.log)), each.name))
                     continue
@@ -264,7 +261,7 @@ def identify_scene(
                 else:
                     experiment = scene_experiment(
                         robot,
-                        build_scene(built).path,
+                        build_scene(robot, shared=True).path,
                         each.log,
                         columns,
                         folder,
@@ -302,7 +299,7 @@ def free_parameters(
     changes = {known[each.name].key: each.start for each in chosen if own[each.name] == 0.0 != each.start}
     base = scene.replace(changes) if changes else scene
     show("building the robot", None)
-    variables = {each.name: each for each in open_fmu(build_scene(base).path).description.modelVariables}
+    variables = {each.name: each for each in open_fmu(build_scene(base, shared=True).path).description.modelVariables}
     if unknown := next((each.name for each in chosen if each.name not in variables), None):
         raise InputError(
             f"{known[unknown].key} has no influence on scene {scene.name}: give the effect that it belongs to a value, or leave it out"

@@ -182,6 +182,33 @@ def test_intervals_contain_the_truth_as_often_as_they_say() -> None:
     assert np.all(inside <= 199)
 
 
+def test_intervals_from_tables_of_few_rows_contain_the_truth() -> None:
+    """Two metrics with errors of different size in 6 runs each: 87 to 99 % of 80 draws."""
+    place, inside = np.arange(6.0), np.zeros(2)
+    pieces = tuple(slice(k, k + 1) for k in range(6))
+    free = [FreeParameter("a", "1", 0.9), FreeParameter("b", "1", 2.2)]
+    for seed in range(80):
+        rng = np.random.default_rng(seed)
+        factors, sizes = rng.normal(size=(2, 6, 2)), rng.uniform(0.02, 0.2, 2)
+
+        def run(variants: Sequence[Mapping[str, float]], factors: RealArray = factors) -> list[Recording]:
+            linear = [factors @ [each["a"], each["b"]] for each in variants]
+            return [
+                Recording(place, {f"m{k}": Column("1", x + 0.05 * x**2) for k, x in enumerate(each)}) for each in linear
+            ]
+
+        exact = run([{"a": 1.0, "b": 2.0}])[0]
+        values = [exact[f"m{k}"].values + size * rng.normal(size=6) for k, size in enumerate(sizes)]
+        channels = tuple(
+            Channel(f"m{k}", "1", {f"m{k}": 1.0}, place, each, pieces, 1.0, axis="row") for k, each in enumerate(values)
+        )
+        problem = Problem([Experiment("table", channels, run, 12.0, True, is_table=True)], free, (), [0.0])
+        found, _ = problem.intervals(problem.solve())
+        inside += [low <= true <= high for true, (low, high) in zip((1.0, 2.0), found, strict=True)]
+    assert np.all(inside >= 0.87 * 80)
+    assert np.all(inside <= 0.99 * 80)
+
+
 def test_an_interval_that_is_no_parabola_is_that_of_the_profile() -> None:
     """Few and noisy values of a decay: the ends are where the sum of squares has grown by the square of the quantile."""
     rng = np.random.default_rng(5)
