@@ -24,8 +24,8 @@ SHARED = """
     sandbox: Run what files bring without network and with the right to write into the folder of the results alone, within limits of
         memory, files and processes (Linux). Default: with your rights.
     settings (--set KEY=VALUE): Change a key of the scene: payload.mass=3, trajectory.profile.kind=poly5,
-        controller[0].derivative=120, controller.pd.derivative=120, effects.gravity=[0,0]; may be repeated. Without --out the
-        results have a folder of their own, named after the changes. Default: the scene as it is.
+        controller[0].derivative=120, controller.pd.derivative=120, effects.gravity=[0,0]; may be repeated. Where results
+        have a folder by default, its name has the changes. Default: the scene as it is.
     json: Print the result as JSON and nothing else. Default: text.
 """
 
