@@ -1,6 +1,6 @@
 """What `flexfmu plan` reaches: total time, power, RMS torque and energy, residual vibration over the payload band, and the time it takes.
 
-python benchmarks/planned_motions.py [--json] [--robust] [--method NAME ...] [--damping RATIO] [--limit NAME=VALUE ...] [SCENE ...]
+python benchmarks/planned_motions.py [--json] [--robust] [--method NAME ...] [--damping RATIO] [--limit NAME=VALUE ...] [--cycle] [SCENE ...]
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ def main() -> None:
     parser.add_argument(
         "--limit", action="append", default=[], help="limits as of flexfmu plan, power=free for example"
     )
+    parser.add_argument("--cycle", action="store_true", help="with an empty return and pauses of 0.1 s")
     parser.add_argument("--out", type=Path, help="folder for the planned scenes")
     options = parser.parse_args()
     found = []
@@ -40,7 +41,7 @@ def main() -> None:
         scene = load_scene(name)
         if options.damping is not None:
             scene = scene.replace({"effects.damping": {"kind": "modal", "ratio": options.damping}})
-        scene = with_wishes(scene, {}, options.limit)
+        scene = with_wishes(scene, {"cycle.pause": 0.1} if options.cycle else {}, options.limit)
         result = planned(scene, tuple(options.method or METHODS), robust=options.robust)
         found.append(summary(result))
         if options.out is not None:
@@ -78,6 +79,12 @@ def show(result: PlanResult) -> None:
     ):
         value, usual = getattr(chosen, name), getattr(given, name)
         print(f"  {name:18} {value:10.4g} {unit:5} = {value / usual:.3f} of the given motion's")
+    for pair in result.ways:
+        for label, way in zip(("given", "planned"), pair, strict=True):
+            print(
+                f"  {label:8} way {way.time:.4f} s residual {1e6 * way.residual:.3f} um torque {way.torque:.4g} N.m "
+                f"RMS {way.rms_torque:.4g} N.m power {way.power:.4g} W energy {way.energy:.4g} J"
+            )
     for use in chosen.uses:
         print(f"  {use.name:18} {use.value:10.4g} of {use.limit:10.4g} {use.unit:7} {use.where}")
     for row in result.rows():

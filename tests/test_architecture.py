@@ -107,7 +107,6 @@ ALONE = {
     "fmu_build.twins": "pairs of lanes in C",
     "model.finite_elements.motion": "time integration",
     "model.multipliers": "the second form of the equations",
-    "model.reference_design.optimal_control": "sequential convex programmes",
     "model.reference_design.robust_correction": "correction over a band",
 }
 """Modules with one importer that are an idea of their own, and which."""

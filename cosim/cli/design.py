@@ -628,6 +628,8 @@ def plan(
     limit: list[str] | None = None,
     margin: float | None = None,
     corridor: float | None = None,
+    return_payload: Annotated[float | None, typer.Option(min=0.0)] = None,
+    pause: Annotated[float | None, typer.Option(min=0.0)] = None,
     method: list[str] | None = None,
     candidate: list[Path] | None = None,
     budget: Annotated[float | None, typer.Option(min=0.0)] = None,
@@ -666,6 +668,9 @@ def plan(
             repeated. Default: torque=1x, rms_torque=1x, power=1x, speed=2.5x, acceleration=2.5x, jerk=2.5x.
         margin (METRES): How far the motion may enter the keep-out region. Default: the scene's, or 1e-4.
         corridor (METRES): How far the motion may leave the given path to the outside. Default: the scene's, or 0.01.
+        return_payload (KG): Plan a cycle: the way back too, with this payload, 0 for an empty return. RMS torques and energy are limited over
+            the cycle. Default: the scene's, or a single motion.
+        pause (SECONDS): Plan a cycle that rests so long at each place. Default: the scene's, or 0.1 in a cycle.
         method (NAME): search, flexible or optimal; may be repeated. Default: all.
         candidate (FILE.csv): A motion of your own, of joints or end effector, to compare; may be repeated.
             Default: none.
@@ -696,6 +701,7 @@ def plan(
     wishes: dict[str, Any] = {
         "minimise": minimise, "duration": duration, "residual": residual, "payload_band": band,
         "stiffness_band": stiffness_band, "damping_band": damping_band, "margin": margin, "corridor": corridor, "seed": seed,
+        "cycle.return_payload": return_payload, "cycle.pause": pause,
     }  # fmt: skip
     bands = {} if identified is None else Identification.read(identified).plan_bands(robot)
     robot = with_wishes(robot, bands | {key: value for key, value in wishes.items() if value is not None}, limit or [])
@@ -777,7 +783,13 @@ SHOWN = 12
 
 def _shown_plan(result: PlanResult) -> Iterator[RenderableType]:
     """What the given and the chosen motion need, how close this comes to each limit, the front, the chosen motion in other models, and the verdict."""
-    from flexfmu.cosim.design.plans.planned_files import front_table, limits_table, robustness_table, summary_table
+    from flexfmu.cosim.design.plans.planned_files import (
+        front_table,
+        limits_table,
+        robustness_table,
+        summary_table,
+        ways_table,
+    )
     from flexfmu.cosim.reports.terminal import as_terminal_table
 
     chosen, given = result.chosen, result.given
@@ -785,6 +797,8 @@ def _shown_plan(result: PlanResult) -> Iterator[RenderableType]:
     yield f"{result.goals.scene.name}: {chosen.candidate.label}: {chosen.time:.4g} s{faster}"
     if chosen is not given:
         yield as_terminal_table(summary_table(result))
+    if result.ways:
+        yield as_terminal_table(ways_table(result))
     yield as_terminal_table(limits_table(chosen), texts=("Unit", "Kept", "Where"))
     # motions over the whole front, the given and the chosen one and those to compare with among them
     table, count = front_table(result), len(result.table)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Indices, RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan, Repetition
+from flexfmu.trajectories.piecewise import Coordinates
 from flexfmu.trajectories.trajectory import SAME_TIME, HasLimits, Trajectory, limits
 
 ROUNDING = 4.0
@@ -87,6 +88,35 @@ class ThereAndBack(HasLimits):
     def _leg(self) -> float:
         """Duration of a motion with its dwell [s]."""
         return self.motion.duration + self.dwell
+
+
+@dataclass(frozen=True)
+class Reversed(HasLimits):
+    """A motion, reversed in time.
+
+    Attributes:
+        motion: the motion.
+        coordinates: what moves.
+    """
+
+    motion: Trajectory
+    coordinates: Coordinates = "joints"
+
+    @property
+    def duration(self) -> float:
+        """That of the motion [s]."""
+        return self.motion.duration
+
+    @property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Breakpoints [s]."""
+        return tuple(self.duration - point for point in reversed(self.motion.breakpoints))
+
+    def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
+        """See `flexfmu.trajectories.trajectory.HasLimits`."""
+        jets = limits(self.motion, self.duration - np.atleast_1d(np.asarray(time, dtype=float)), ~left, order).copy()
+        jets[1::2] *= -1.0
+        return jets
 
 
 def _distinct(time: RealArray, left: NDArray[np.bool_], near: float) -> tuple[Indices, Indices]:

@@ -141,6 +141,14 @@ class ElasticResponse:
         out, end_by = matrices.derivatives(by, end[:, 1], by_duration)
         return Response(values[..., n + 2 :], values[..., n : n + 2], end, out[:, :, 2:], out[:, :, :2], end_by)
 
+    def transfer(self, duration: float) -> RealArray:
+        """Elastic coordinates and rates at the end of the last motion by those at its start, (P, 2, n, 2, n)."""
+        assert self._matrices is not None
+        found = self._matrices.transfer().reshape(-1, 2, self.model.n, 2, self.model.n)
+        found[:, 1] /= duration
+        found[..., 1, :] *= duration
+        return found
+
     def _solved(self, references: RealArray, duration: float) -> RealArray:
         """Stage values z (P, N, n) that satisfy the equations of motion, by Newton's method with kept matrices."""
         z, before, n = self._guess, math.inf, self.model.n
@@ -259,6 +267,13 @@ class _Matrices:
             end[:, 1, :, -1] -= rate / self._duration
         return out.reshape(count, 3 * steps, 4, m), end
 
+    def transfer(self) -> RealArray:
+        """The last state by the first, (P, 2 n, 2 n)."""
+        found = self._transition[:, 0]
+        for k in range(1, self._transition.shape[1]):
+            found = self._transition[:, k] @ found
+        return np.asarray(found)
+
     def _states(self, loads: RealArray) -> RealArray:
         """States (P, steps + 1, 2 n, r) from rest, with additions (P, steps, 2 n, r) in each step."""
         count, steps, size, columns = loads.shape
@@ -291,6 +306,10 @@ class FleetResponse:
         """The response as of `ElasticResponse`; the end states of robots with fewer coordinates end with zeros."""
         found = [part.of_spline(motion, derivatives=derivatives) for part in self.parts]
         return Response(*(joined([getattr(each, field.name) for each in found]) for field in fields(Response)))
+
+    def transfer(self, duration: float) -> RealArray:
+        """See `ElasticResponse.transfer`."""
+        return joined([part.transfer(duration) for part in self.parts])
 
 
 def joined(arrays: Sequence[RealArray]) -> RealArray:
@@ -444,6 +463,15 @@ def free_modes(rest: Rest) -> FreeModes:
         found.append((np.sqrt(squares), shapes.T @ mass, jacobian[n + 2 :, :n] @ shapes))
     frequencies, coordinates, displacements = (np.array(each) for each in zip(*found, strict=True))
     return FreeModes(frequencies, coordinates, displacements)
+
+
+def free_systems(rest: Rest) -> RealArray:
+    """Matrices (P, 2 n, 2 n) of the free vibration about rest: rates and accelerations by elastic coordinates and rates."""
+    n = rest.elastic.shape[1]
+    by_q, by_v, by_a = (rest.jacobian[:, :n, i * n : (i + 1) * n] for i in range(3))
+    accelerations = np.linalg.solve(by_a, -np.concatenate([by_q, by_v], axis=2))
+    places = np.broadcast_to(np.eye(2 * n)[n:], (len(by_q), n, 2 * n))
+    return np.concatenate([places, accelerations], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ Source: C. de Boor, *A Practical Guide to Splines*, Springer 2001, chapters IX (
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -89,6 +90,7 @@ def knot_means(degree: int, intervals: int) -> RealArray:
     return np.array([knots[i + 1 : i + 1 + degree].mean() for i in range(intervals + degree)])
 
 
+@lru_cache(maxsize=64)
 def _basis_splines(degree: int, intervals: int, order: int = 0) -> BSpline:
     """All basis functions as one spline, or a derivative of them in normalised time.
 

@@ -1,4 +1,5 @@
-"""Optimal joint references within limits that hold for several variants of a robot, by sequential convex programming.
+"""Optimal joint references of one motion or of a cycle, within limits that hold for several variants of a robot, by sequential convex
+programming.
 
 The first stage has few variants and a loose bound on the residual vibration; the bound then falls, with more variants. In the end
 all variants are evaluated on a finer grid: its end state corrects that of the coarse one, the worst variants join the others, and
@@ -17,7 +18,9 @@ What remains of the vibration is bounded mode by mode: the sum over the modes of
 displacement of the end effector by the mode. It bounds the free vibration after the motion. The amplitude of a mode, the length of
 a vector [place, rate], is bounded by half planes in `DIRECTIONS`.
 
-Power, RMS torque, energy and the power of the supply follow from torques and speeds (`MotorLoads`), over the motion and the pause after it.
+A cycle has several ways, each with its own robots, first motion and limits: the programmes have the variables of all, and RMS torques and
+energies of the whole cycle with its pauses (`MotorLoads`). What a way leaves of vibration decays in the pause after it, the rest
+swings on in the next way, and so on round the cycle (`LeftVibration`): the bounds are those of the periodic motion.
 
 Sources: J. Nocedal and S. Wright, *Numerical Optimization*, Springer 2006, sections 15.6 and 18.5; R. Fletcher and E. Sainz de la
 Maza, Nonlinear programming and nonsmooth optimization by successive linear programming, Mathematical Programming 43 (1989).
@@ -32,6 +35,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag, expm
 
 from flexfmu.model.reference_design.elastic_response import (
     METHOD,
@@ -41,6 +45,7 @@ from flexfmu.model.reference_design.elastic_response import (
     RobotVariant,
     VariantModel,
     free_modes,
+    free_systems,
     joined,
     spline_derivatives,
 )
@@ -70,8 +75,8 @@ DIRECTIONS = np.arange(8) * np.pi / 4
 WORST = 3
 """Number of variants whose torques and distances count at an instant: those of variants with similar payloads are similar."""
 
-OF_MOTION, TINY = ("rms_torque", "energy"), 1e-9
-"""Loads of the whole motion, not of an instant, and an RMS torque [N m] that is none."""
+OF_CYCLE, TINY = {"rms_torque": "square_torque", "energy": "energy"}, 1e-9
+"""Loads of the whole cycle, not of an instant, with what their ways add to them, and an RMS torque [N m] that is none."""
 
 SLOW = 6.0
 """Modes up to this multiple of a variant's lowest frequency count; smooth references don't excite faster ones."""
@@ -86,7 +91,7 @@ class MotionLimits:
         speed, acceleration, jerk: largest magnitudes of the joint references [rad/s, rad/s², rad/s³].
         residual: largest displacement of the end effector by vibration after the motion [m].
         distances: to what the end effector must keep clear of.
-        loads: largest values of further figures of `MotorLoads`, by name.
+        loads: largest values of further figures of `MotorLoads` at each instant, by name.
         pause: time at rest after the motion [s], which RMS torques contain.
     """
 
@@ -118,8 +123,8 @@ class MotorLoads:
     """What motors and their supply have to do for a motion of P variants, at N instants or over motion and pause, with derivatives.
 
     Its figures are by name: ``torque`` (P, N, 2) [N m] and ``power`` (P, N, 2) [W] of both motors, positive into the robot;
-    ``rms_torque`` (P, 2) [N m]; ``energy`` (P,) [J] that they give, without what they take back; ``supply_power`` and ``regenerated_power``
-    (P, N) [W] of both together, zero where the other one flows.
+    ``square_torque`` (P, 2) [N² m² s], the integral of its square; ``energy`` (P,) [J] that they give, without what they take back;
+    ``supply_power`` and ``regenerated_power`` (P, N) [W] of both together, zero where the other one flows.
 
     Args:
         fractions: instants (N,), the stages of equal steps, as fractions of the duration.
@@ -145,7 +150,7 @@ class MotorLoads:
         find: dict[str, Callable[[], RealArray]] = {
             "torque": lambda: torque,
             "power": lambda: power,
-            "rms_torque": lambda: np.sqrt(square / (duration + self._pause)),
+            "square_torque": lambda: square,
             "energy": lambda: duration * np.einsum("n,pnj->p", self.weights, np.maximum(power, 0.0)),
             "supply_power": lambda: np.maximum(power.sum(axis=2), 0.0),
             "regenerated_power": lambda: np.maximum(-power.sum(axis=2), 0.0),
@@ -168,12 +173,10 @@ class MotorLoads:
         for name in names:
             if name == "power":
                 found[name] = power_by
-            elif name == "rms_torque":
-                # of the mean square; the last variable is the duration
-                root = self.of_speeds([name], speed, duration, torque)[name]
-                slope = 2.0 * np.einsum("n,pnj,pnjm->pjm", duration * self.weights, torque, by)
-                slope[..., -1] += np.einsum("n,pnj->pj", self.weights, torque**2) - root**2
-                found[name] = slope / (2.0 * np.maximum(root, TINY) * (duration + self._pause))[..., np.newaxis]
+            elif name == "square_torque":
+                # the last variable is the duration
+                found[name] = 2.0 * np.einsum("n,pnj,pnjm->pjm", duration * self.weights, torque, by)
+                found[name][..., -1] += np.einsum("n,pnj->pj", self.weights, torque**2)
             elif name == "energy":
                 found[name] = duration * np.einsum("n,pnj,pnjm->pm", self.weights, (power > 0.0) * 1.0, power_by)
                 found[name][:, -1] += np.einsum("n,pnj->p", self.weights, np.maximum(power, 0.0))
@@ -195,7 +198,7 @@ class Inequalities:
 
 
 class LimitRows:
-    """The limits of motions of one size, but for the residual vibration, row by row: references, loads of the motors, clearance.
+    """The limits of motions of one size at each instant, row by row: references, loads of the motors, clearance.
 
     Args:
         limits: the limits.
@@ -209,9 +212,8 @@ class LimitRows:
         self._matrices = [derivative_matrix(degree, intervals, k)[REST - k : k - REST] for k in (1, 2, 3)]
         self._largest = (limits.speed, limits.acceleration, limits.jerk)
         self.free = intervals + degree - 2 * REST
-        # of each load relative to its limit, at all instants
-        loads = {"torque": limits.torque, **limits.loads}
-        self._units = {name: limit[:, np.newaxis] if name not in OF_MOTION else limit for name, limit in loads.items()}
+        # of each load at all instants
+        self._units = {name: each[:, np.newaxis] for name, each in {"torque": limits.torque, **limits.loads}.items()}
 
     def values(self, motion: JointSpline, response: Response) -> tuple[RealArray, NDArray[np.intp]]:
         """g (R,) and the groups (R,)."""
@@ -246,29 +248,34 @@ class LimitRows:
         deciding = [_deciding(name, each).ravel() for name, each in self._parts(motion, response)]
         return Inequalities(*self.values(motion, response), np.concatenate(found), np.concatenate(deciding))
 
-    def curvature(self, motion: JointSpline, response: Response, prices: RealArray) -> RealArray:
-        """The curvature (m, m) of the loads, each row's by its price (R,), its positive part.
+    def curvature(
+        self, motion: JointSpline, response: Response, prices: RealArray, of_cycle: Mapping[str, RealArray]
+    ) -> RealArray:
+        """The curvature (m, m) of the loads, its positive part.
 
         Torques and speeds count as linear (Gauss-Newton): mean squares of torques, and products of torques and speeds are curved.
+
+        Args:
+            prices: of each row (R,).
+            of_cycle: price of each unit of ``square_torque`` (P, 2) and ``energy`` (P,).
         """
         by, speed_by = response.torque_by, self._motors.speed_derivatives(motion)
-        squares, products = np.zeros(response.torque.shape), np.zeros(response.torque.shape)
+        products = np.zeros(response.torque.shape)
         first, share = 0, motion.duration * self._motors.weights[:, np.newaxis]
+        power = self._motors.values(["power"], motion, response)["power"]
         for name, each in self._parts(motion, response):
             price, first = prices[first : first + each.size].reshape(each.shape), first + each.size
-            if name in self.limits.loads and price.any():
+            if name in self.limits.loads:
                 price = price / self._units[name]
-                if name == "rms_torque":
-                    root = (each + 1.0) * self._units[name]
-                    squares += (price / (root * (motion.duration + self.limits.pause)))[:, np.newaxis] * share
-                    continue
-                power = self._motors.values(["power"], motion, response)["power"]
                 if name == "power":
                     products += np.sign(power) * price
-                elif name == "energy":
-                    products += price[:, np.newaxis, np.newaxis] * share * (power > 0.0)
                 else:
                     products += ((1.0 if name == "supply_power" else -1.0) * price)[..., np.newaxis]
+        if "energy" in of_cycle:
+            products += of_cycle["energy"][:, np.newaxis, np.newaxis] * share * (power > 0.0)
+        squares = np.zeros_like(products)
+        if "square_torque" in of_cycle:
+            squares += 2.0 * of_cycle["square_torque"][:, np.newaxis] * share
         found = np.einsum("pnj,pnja,pnjb->ab", squares, by, by, optimize=True)
         p, n, j = np.nonzero(products)
         cross = (products[p, n, j, np.newaxis] * by[p, n, j]).T @ speed_by[n, j]
@@ -293,7 +300,7 @@ class LimitRows:
 def _deciding(name: str, values: RealArray) -> NDArray[np.bool_]:
     """Which of a part's rows can decide: at each instant those of the `WORST` variants."""
     axis = 1 if name == "clearance" else 0
-    if name in (*GROUPS[1:4], *OF_MOTION) or values.shape[axis] <= WORST:
+    if name in GROUPS[1:4] or values.shape[axis] <= WORST:
         return np.ones(values.shape, dtype=bool)
     least = np.partition(values, -WORST, axis=axis).take([-WORST], axis=axis)
     return np.asarray(values >= least)
@@ -308,22 +315,83 @@ class ResidualVibration:
     """
 
     def __init__(self, models: Sequence[VariantModel], end: RealArray) -> None:
-        rests = [model.rest(end) for model in models]
+        self.rests = [model.rest(end) for model in models]
         # from elastic coordinates and their rates at the end: (P, 2, k, n)
-        self.matrices = joined([_to_amplitudes(rest) for rest in rests])
-        self.holding = joined([rest.torque for rest in rests])
-        self._rest = joined([rest.elastic for rest in rests])
+        self.matrices = joined([_to_amplitudes(rest) for rest in self.rests])
+        self.holding = joined([rest.torque for rest in self.rests])
+        self._rest = joined([rest.elastic for rest in self.rests])
         self.error = np.zeros((len(self._rest), 2, self._rest.shape[1]))
 
-    def amplitudes(self, end: RealArray) -> RealArray:
-        """Modal places and rates (P, 2, k) [m] for states at the end (P, 2, n), the grid's error added."""
+    def away(self, end: RealArray) -> RealArray:
+        """States at the end (P, 2, n) relative to rest, the grid's error added."""
         away = end + self.error
         away[:, 0] -= self._rest
-        return np.asarray((self.matrices @ away[..., np.newaxis])[..., 0])
+        return away
 
     def largest(self, end: RealArray) -> RealArray:
         """Bounds (P,) of the displacement of the end effector after the motion [m]."""
-        return np.asarray(np.linalg.norm(self.amplitudes(end), axis=1).sum(axis=-1))
+        return bounds(self.matrices, self.away(end))
+
+
+def _applied(matrices: RealArray, states: RealArray) -> RealArray:
+    """Modal places and rates (P, 2, k) [m] of states (P, 2, n)."""
+    return np.asarray((matrices @ states[..., np.newaxis])[..., 0])
+
+
+def bounds(matrices: RealArray, states: RealArray) -> RealArray:
+    """Bounds (P,) [m] of the displacement by states (P, 2, n) after the motion, with matrices of `ResidualVibration`."""
+    return _sizes(_applied(matrices, states))
+
+
+def _sizes(amplitudes: RealArray) -> RealArray:
+    """Bounds (P,) [m] of the displacement by modal places and rates (P, 2, k)."""
+    return np.asarray(np.linalg.norm(amplitudes, axis=1).sum(axis=-1))
+
+
+class LeftVibration:
+    """What the ways of a cycle leave of vibration in the next, in the periodic motion.
+
+    The payload changes at the end of the pause, carried by what it lies on: elastic coordinates keep their distance from rest, and their rates.
+
+    Args:
+        ends: the robots of each way at rest after it, by scene.
+        pauses: time at rest after each way [s].
+        of_case: index of the robot of each case for each way (W, C).
+    """
+
+    def __init__(
+        self, ends: Sequence[Sequence[Rest]], pauses: Sequence[float], of_case: Sequence[NDArray[np.intp]]
+    ) -> None:
+        self.of_case, self._handed = of_case, list[RealArray]()
+        for rests, pause, cases in zip(ends, pauses, of_case, strict=True):
+            systems = [free_systems(rest) for rest in rests]
+            decays = joined(
+                [expm(each * pause).reshape(-1, 2, n, 2, n) for each in systems for n in [each.shape[1] // 2]]
+            )
+            self._handed.append(decays[cases])
+        self._matrix: RealArray | None = None
+
+    def renew(self, transfers: Sequence[RealArray]) -> None:
+        """Take new transfers (P, 2, n, 2, n) from start to end of each way, see `ElasticResponse.transfer`."""
+        count, cases, _, n, *_ = (len(transfers), *self._handed[0].shape)
+        size = 2 * n
+        moved = np.zeros((cases, count * size, count * size))
+        for w, handed in enumerate(self._handed):
+            k = (w + 1) % count
+            both = transfers[k][self.of_case[k]].reshape(cases, size, size) @ handed.reshape(cases, size, size)
+            moved[:, k * size : (k + 1) * size, w * size : (w + 1) * size] += both
+        inverse = np.linalg.inv(np.eye(count * size) - moved)
+        self._matrix = np.asarray(inverse).reshape(cases, count, size, count, size)
+
+    def periodic(self, states: Sequence[RealArray]) -> list[RealArray]:
+        """States at the ends of the ways (C, 2, n, ...) in the periodic motion, by those from rest (P, 2, n, ...)."""
+        assert self._matrix is not None
+        shape = states[0].shape[1:]
+        own = np.stack(
+            [each[k].reshape(len(k), shape[0] * shape[1], -1) for k, each in zip(self.of_case, states, strict=True)], 1
+        )
+        found = np.einsum("cusvt,cvtm->cusm", self._matrix, own, optimize=True)
+        return [found[:, w].reshape(len(found), *shape) for w in range(found.shape[1])]
 
 
 def _to_amplitudes(rest: Rest) -> RealArray:
@@ -418,148 +486,350 @@ class Effort:
         return y**power, power * y ** (power - 1), power * (power - 1) * y ** (power - 2)
 
 
+Motions = tuple[JointSpline, ...]
+"""One for each way."""
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """A motion, alone or of a cycle.
+
+    Attributes:
+        robots: the robots; those of one scene follow each other, by payload.
+        limits: the limits, with torques for all robots.
+        start: first motion; it may violate limits, and half the duration of a usual motion serves well.
+        of_case: index of the robot of each case (C,), the payload that is carried through the cycle; None for one case a robot.
+    """
+
+    robots: Sequence[RobotVariant]
+    limits: MotionLimits
+    start: JointSpline
+    of_case: NDArray[np.intp] | None = None
+
+    @property
+    def cases(self) -> NDArray[np.intp]:
+        """Index of the robot of each case (C,)."""
+        return np.arange(len(self.robots)) if self.of_case is None else self.of_case
+
+    def of_cases(self, chosen: NDArray[np.intp]) -> Way:
+        """The way with the robots of some cases."""
+        index, cases = np.unique(self.cases[chosen], return_inverse=True)
+        return replace(
+            self, robots=[self.robots[int(k)] for k in index], limits=self.limits.of_variants(index), of_case=cases
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class State:
-    """A motion, and what it costs in units of the start's."""
+    """Motions, and what they cost in units of the start's; loads of the cycle relative to their limits."""
 
-    motion: JointSpline
-    response: Response
+    motions: Motions
+    responses: tuple[Response, ...]
+    loads: Mapping[str, RealArray]
+    amplitudes: tuple[RealArray, ...]
     violations: RealArray
     cost: float
 
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """The limits, linearised at a motion: rows, modal amplitudes (P, 2, k) and their derivatives (P, 2, k, m).
+    """The limits, linearised at motions; rows have the variables of their way, all else has those of all.
 
     Attributes:
+        rows: of each way.
+        loads, loads_by: g (L,) of the loads of the cycle with their derivatives (L, m), and the indices of their groups (L,).
+        amplitudes, amplitudes_by: modal amplitudes of each way (C, 2, k), with derivatives (C, 2, k, m).
         slope, curvature: of the cost, (m,) and (m, m).
     """
 
-    rows: Inequalities
-    amplitudes: RealArray
-    amplitudes_by: RealArray
+    rows: tuple[Inequalities, ...]
+    loads: RealArray
+    load_groups: NDArray[np.intp]
+    loads_by: RealArray
+    amplitudes: tuple[RealArray, ...]
+    amplitudes_by: tuple[RealArray, ...]
     slope: RealArray
     curvature: RealArray
 
 
-class Stage:
-    """The limits of some variants, and their programmes.
+class _WayProgramme:
+    """What a stage knows of one way: the response, the limits at each instant, the vibration after it, the columns of its variables.
 
     Args:
-        elastic: the variants' response.
-        limits: the limits of these variants.
-        start: a motion with the ends and the size of all.
-        unit: duration that costs 1 [s].
-        aim: what is minimised; the effort of the start costs 1.
+        way: the way.
+        parts: steps of the integration for each interval of the spline.
+        first: its first column.
+        unit: duration of a first motion [s].
+        aim: what is minimised.
     """
 
-    def __init__(
-        self, elastic: FleetResponse, limits: MotionLimits, start: JointSpline, unit: float, aim: Aim = "time"
-    ) -> None:
-        self.elastic, self.limits, self.unit = elastic, limits, unit
-        self._effort = None
+    def __init__(self, way: Way, parts: int, first: int, unit: float, aim: Aim) -> None:
+        start, self.limits, self.cases = way.start, way.limits, way.cases
+        self.elastic = FleetResponse(way.robots, start.coefficients[0], parts * start.intervals)
+        self.effort = None
         if aim != "time":
-            self._effort = Effort(aim, start, elastic.of_spline(start, derivatives=False), elastic.fractions)
-        self.price, self.penalty = PRICES[0], PENALTY[0]
-        self._prices: RealArray | None = None
-        self.vibration = ResidualVibration([part.model for part in elastic.parts], start.coefficients[-1])
-        motors = MotorLoads(elastic.fractions, self.vibration.holding, limits.pause)
-        self.rows = LimitRows(limits, start.degree, start.intervals, motors)
+            response = self.elastic.of_spline(start, derivatives=False)
+            self.effort = Effort(aim, start, response, self.elastic.fractions)
+        self.vibration = ResidualVibration([part.model for part in self.elastic.parts], start.coefficients[-1])
+        self.motors = MotorLoads(self.elastic.fractions, self.vibration.holding, way.limits.pause)
+        self.rows = LimitRows(way.limits, start.degree, start.intervals, self.motors)
         m = 2 * self.rows.free + 1
+        self.columns = slice(first, first + m)
         swing = float(np.ptp(start.coefficients, axis=0).max())
-        self._scale = np.concatenate([np.full(m - 1, swing), [unit]])
+        self.scale = np.concatenate([np.full(m - 1, swing), [unit]])
         # changes of acceleration, relative to the largest one, and of the duration
         curve = derivative_matrix(start.degree, start.intervals, 2)
         by_free = curve[:, REST:-REST]
-        self._metric = np.zeros((m, m))
-        self._metric[:-1, :-1] = np.kron(np.eye(2), by_free.T @ by_free)
-        self._metric[:-1, :-1] /= np.abs(curve @ start.coefficients).max() ** 2
-        self._metric[-1, -1] = 0.1 * len(curve) / unit**2
+        self.metric = np.zeros((m, m))
+        self.metric[:-1, :-1] = np.kron(np.eye(2), by_free.T @ by_free)
+        self.metric[:-1, :-1] /= np.abs(curve @ start.coefficients).max() ** 2
+        self.metric[-1, -1] = 0.1 * len(curve) / unit**2
 
-    def state(self, motion: JointSpline, *, derivatives: bool = True) -> State:
-        """Evaluate a motion."""
-        response = self.elastic.of_spline(motion, derivatives=derivatives)
-        violations = self.violations(motion, response, self.vibration.largest(response.end))
-        cost = motion.duration / self.unit if self._effort is None else self._effort.value(motion, response)
-        return State(motion, response, violations, cost)
 
-    def violations(self, motion: JointSpline, response: Response, residuals: RealArray) -> RealArray:
-        """The largest violation of each group."""
-        values, groups = self.rows.values(motion, response)
-        found = np.zeros(len(GROUPS))
-        np.maximum.at(found, groups, values)
-        found[RESIDUAL] = max(0.0, float(residuals.max(initial=0.0)) / self.limits.residual - 1.0) * RESIDUAL_SCALE
+class Stage:
+    """The limits of some cases, and their programmes.
+
+    Args:
+        ways: the ways with the robots of these cases.
+        loads: limits of loads of the cycle for these cases, by name.
+        parts: steps of the integration for each interval of the splines.
+        units: durations [s] that cost 1 in all; the effort of the first motions costs 1.
+        aim: what is minimised.
+    """
+
+    def __init__(
+        self, ways: Sequence[Way], loads: Mapping[str, RealArray], parts: int, units: Sequence[float], aim: Aim = "time"
+    ) -> None:
+        self.ways = list[_WayProgramme]()
+        for way, unit in zip(ways, units, strict=True):
+            first = self.ways[-1].columns.stop if self.ways else 0
+            self.ways.append(_WayProgramme(way, parts, first, unit, aim))
+        self._limits, self._timed, self.unit = loads, aim == "time", sum(units)
+        self.residual = ways[0].limits.residual
+        self.price, self.penalty = PRICES[0], PENALTY[0]
+        self._prices: tuple[list[RealArray], RealArray] | None = None
+        self._scale = np.concatenate([way.scale for way in self.ways])
+        self._metric = self._diagonal([way.metric for way in self.ways])
+        self.left = None
+        if len(ways) > 1:
+            ends, pauses = [way.vibration.rests for way in self.ways], [way.limits.pause for way in ways]
+            self.left = LeftVibration(ends, pauses, [way.cases for way in self.ways])
+
+    def state(self, motions: Motions, *, derivatives: bool = True, renewed: bool = False) -> State:
+        """Evaluate motions; with derivatives, or if it is wanted, with new transfers of vibration from way to way."""
+        pairs = list(zip(self.ways, motions, strict=True))
+        responses = tuple(way.elastic.of_spline(motion, derivatives=derivatives) for way, motion in pairs)
+        if self.left is not None and (derivatives or renewed):
+            self.left.renew([way.elastic.transfer(motion.duration) for way, motion in pairs])
+        loads, amplitudes = self._loads(motions, responses), self.amplitudes(responses)
+        violations = np.zeros(len(GROUPS))
+        for way, motion, response in zip(self.ways, motions, responses, strict=True):
+            values, groups = way.rows.values(motion, response)
+            np.maximum.at(violations, groups, values)
+        for name, each in loads.items():
+            violations[GROUPS.index(name)] = max(0.0, float(each.max()) - 1.0)
+        residual = max(float(_sizes(each).max(initial=0.0)) for each in amplitudes)
+        violations[RESIDUAL] = max(0.0, residual / self.residual - 1.0) * RESIDUAL_SCALE
+        if self._timed:
+            cost = sum(motion.duration for motion in motions) / self.unit
+        else:
+            efforts = [
+                way.effort.value(motion, response)
+                for way, motion, response in zip(self.ways, motions, responses, strict=True)
+                if way.effort is not None
+            ]
+            cost = float(np.mean(efforts))
+        return State(motions, responses, loads, amplitudes, violations, cost)
+
+    def amplitudes(self, responses: Sequence[Response]) -> tuple[RealArray, ...]:
+        """Modal places and rates (C, 2, k) [m] at the end of each way."""
+        states = [way.vibration.away(each.end) for way, each in zip(self.ways, responses, strict=True)]
+        if self.left is None:
+            return (_applied(self.ways[0].vibration.matrices, states[0]),)
+        pairs = zip(self.ways, self.left.periodic(states), strict=True)
+        return tuple(_applied(way.vibration.matrices[way.cases], each) for way, each in pairs)
+
+    def _loads(self, motions: Motions, responses: Sequence[Response]) -> dict[str, RealArray]:
+        """Each load of the cycle, for all cases relative to its limit."""
+        found = dict[str, RealArray]()
+        for name, limit in self._limits.items():
+            whole = sum(
+                way.motors.values([OF_CYCLE[name]], motion, response)[OF_CYCLE[name]][way.cases]
+                for way, motion, response in zip(self.ways, motions, responses, strict=True)
+            )
+            whole = np.asarray(whole)
+            found[name] = (np.sqrt(whole / self._time(motions)) if name == "rms_torque" else whole) / limit
         return found
+
+    def _time(self, motions: Motions) -> float:
+        """Duration of the cycle [s]."""
+        return sum(motion.duration + way.limits.pause for way, motion in zip(self.ways, motions, strict=True))
 
     def merit(self, state: State) -> float:
         """The cost, and the price of what isn't met."""
         return state.cost + self.price * float(state.violations.sum())
 
     def linear(self, state: State) -> Linear:
-        """Linearise the limits at a motion."""
-        motion, response = state.motion, state.response
-        by, reached = self.vibration.matrices @ response.end_by, self.vibration.amplitudes(response.end)
-        if self._effort is None:
-            slope, curvature = np.zeros(len(self._scale)), np.zeros_like(self._metric)
-            slope[-1] = 1.0 / self.unit
+        """Linearise the limits at motions."""
+        triples, m = list(zip(self.ways, state.motions, state.responses, strict=True)), len(self._scale)
+        # loads of the cycle
+        time, loads_by = self._time(state.motions), list[RealArray]()
+        for name, share in state.loads.items():
+            by = np.zeros((*share.shape, m))
+            for way, motion, response in triples:
+                of_way = way.motors.derivatives([OF_CYCLE[name]], motion, response)[OF_CYCLE[name]]
+                by[..., way.columns] += of_way[way.cases]
+            if name == "rms_torque":
+                # a root of a mean square, over a time that has all durations
+                root = share * self._limits[name]
+                for way in self.ways:
+                    by[..., way.columns.stop - 1] -= root**2
+                by /= (2.0 * time * np.maximum(root, TINY))[..., np.newaxis]
+            loads_by.append((by / self._limits[name][..., np.newaxis]).reshape(-1, m))
+        groups = [np.full(each.size, GROUPS.index(name)) for name, each in state.loads.items()]
+        loads = [each.ravel() - 1.0 for each in state.loads.values()]
+        # vibration
+        if self.left is None:
+            way = self.ways[0]
+            amplitudes_by: tuple[RealArray, ...] = (way.vibration.matrices @ state.responses[0].end_by,)
         else:
-            slope, curvature = self._effort.derivatives(motion, response)
-        if self._prices is not None:
-            curvature = curvature + self.rows.curvature(motion, response, self._prices)
-        return Linear(self.rows.rows(motion, response), reached, by, slope, curvature)
+            states = []
+            for way, _, response in triples:
+                by = np.zeros((*response.end_by.shape[:-1], m))
+                by[..., way.columns] = response.end_by
+                states.append(by)
+            pairs = zip(self.ways, self.left.periodic(states), strict=True)
+            amplitudes_by = tuple(way.vibration.matrices[way.cases] @ each for way, each in pairs)
+        # the cost
+        slope, curvatures = np.zeros(m), list[RealArray]()
+        for k, (way, motion, response) in enumerate(triples):
+            curvature = np.zeros_like(way.metric)
+            if way.effort is None:
+                slope[way.columns.stop - 1] = 1.0 / self.unit
+            else:
+                slope[way.columns], curvature = (
+                    each / len(triples) for each in way.effort.derivatives(motion, response)
+                )
+            if self._prices is not None:
+                of_rows, of_loads = self._prices
+                curvature = curvature + way.rows.curvature(
+                    motion, response, of_rows[k], self._of_way(way, state.loads, of_loads, time)
+                )
+            curvatures.append(curvature)
+        empty = np.zeros((0, m))
+        return Linear(
+            tuple(way.rows.rows(motion, response) for way, motion, response in triples),
+            np.concatenate([np.zeros(0), *loads]),
+            np.concatenate([np.zeros(0, dtype=np.intp), *groups]),
+            np.concatenate([empty, *loads_by]),
+            state.amplitudes,
+            amplitudes_by,
+            slope,
+            self._diagonal(curvatures),
+        )
+
+    def _of_way(
+        self, way: _WayProgramme, loads: Mapping[str, RealArray], prices: RealArray, time: float
+    ) -> dict[str, RealArray]:
+        """The price of each unit that the robots of a way add to loads of the cycle."""
+        found, first = dict[str, RealArray](), 0
+        for name, share in loads.items():
+            price, first = (
+                prices[first : first + share.size].reshape(share.shape) / self._limits[name],
+                first + share.size,
+            )
+            if name == "rms_torque":
+                price = price / (2.0 * time * np.maximum(share * self._limits[name], TINY))
+            found[OF_CYCLE[name]] = np.zeros((way.cases.max() + 1, *share.shape[1:]))
+            np.add.at(found[OF_CYCLE[name]], way.cases, price)
+        return found
 
     def corrected(self, linear: Linear, step: RealArray, state: State) -> Linear:
         """The linearised limits with their values after a step."""
-        values, groups = self.rows.values(state.motion, state.response)
-        amplitudes = self.vibration.amplitudes(state.response.end) - linear.amplitudes_by @ step
-        shifted = Inequalities(values - linear.rows.jacobian @ step, groups, linear.rows.jacobian, linear.rows.deciding)
-        return replace(linear, rows=shifted, amplitudes=amplitudes)
+        rows = []
+        for way, motion, response, each in zip(self.ways, state.motions, state.responses, linear.rows, strict=True):
+            values, groups = way.rows.values(motion, response)
+            values = values - each.jacobian @ step[way.columns]
+            rows.append(Inequalities(values, groups, each.jacobian, each.deciding))
+        loads = np.concatenate([np.zeros(0), *(each.ravel() - 1.0 for each in state.loads.values())])
+        return replace(
+            linear,
+            rows=tuple(rows),
+            loads=loads - linear.loads_by @ step,
+            amplitudes=tuple(now - by @ step for now, by in zip(state.amplitudes, linear.amplitudes_by, strict=True)),
+        )
 
     def step(self, linear: Linear, penalty: float) -> tuple[RealArray, float]:
         """The best step (m,) and the change of the cost, with the price of what isn't met after it, as they predict.
 
         The multipliers of the rows are kept: they weigh the curvature of the next programme.
         """
-        rows, (variants, _, modes, m) = linear.rows, linear.amplitudes_by.shape
-        near = np.flatnonzero(rows.deciding & (rows.values > np.where(rows.groups == CLEARANCE, -FAR, -NEAR)))
-        slacks, planes = len(GROUPS), len(DIRECTIONS) * variants * modes
-        size = m + slacks + variants * modes
-        # limits; half planes of each mode's amplitude; the sum of amplitudes for each variant
-        matrix = np.zeros((len(near) + planes + variants, size))
-        matrix[: len(near), :m] = rows.jacobian[near]
-        matrix[np.arange(len(near)), m + rows.groups[near]] = -1.0
-        scale, normals = RESIDUAL_SCALE / self.limits.residual, np.stack([np.cos(DIRECTIONS), np.sin(DIRECTIONS)])
-        block = matrix[len(near) : len(near) + planes]
-        block[:, :m] = scale * np.einsum("id,pikm->dpkm", normals, linear.amplitudes_by).reshape(planes, m)
-        block[:, m + slacks :] = np.tile(np.eye(variants * modes), (len(DIRECTIONS), 1)) * -np.cos(DIRECTIONS[1] / 2)
-        matrix[len(near) + planes :, m + slacks :] = np.kron(np.eye(variants), np.ones(modes))
-        matrix[len(near) + planes :, m + RESIDUAL] = -1.0
-        reached = scale * np.einsum("id,pik->dpk", normals, linear.amplitudes).ravel()
-        right = np.concatenate([-rows.values[near], -reached, np.full(variants, RESIDUAL_SCALE)])
+        m, slacks = len(self._scale), len(GROUPS)
+        near = [
+            np.flatnonzero(each.deciding & (each.values > np.where(each.groups == CLEARANCE, -FAR, -NEAR)))
+            for each in linear.rows
+        ]
+        sizes = [each.shape[0] * each.shape[2] for each in linear.amplitudes]
+        size = m + slacks + sum(sizes)
+        blocks, right = list[RealArray](), list[RealArray]()
+        # limits at instants, of each way
+        for way, rows, some in zip(self.ways, linear.rows, near, strict=True):
+            block = np.zeros((len(some), size))
+            block[:, way.columns] = rows.jacobian[some]
+            block[np.arange(len(some)), m + rows.groups[some]] = -1.0
+            blocks.append(block)
+            right.append(-rows.values[some])
+        # loads of the cycle
+        block = np.zeros((len(linear.loads), size))
+        block[:, :m] = linear.loads_by
+        block[np.arange(len(block)), m + linear.load_groups] = -1.0
+        blocks.append(block)
+        right.append(-linear.loads)
+        # half planes of each mode's amplitude; the sum of amplitudes for each case
+        scale, normals = RESIDUAL_SCALE / self.residual, np.stack([np.cos(DIRECTIONS), np.sin(DIRECTIONS)])
+        first = m + slacks
+        for now, by in zip(linear.amplitudes, linear.amplitudes_by, strict=True):
+            cases, _, modes = now.shape
+            count = cases * modes
+            block = np.zeros((len(DIRECTIONS) * count + cases, size))
+            block[:-cases, :m] = scale * np.einsum("id,pikm->dpkm", normals, by).reshape(-1, m)
+            bounds = block[:, first : first + count]
+            bounds[:-cases] = np.tile(np.eye(count), (len(DIRECTIONS), 1)) * -np.cos(DIRECTIONS[1] / 2)
+            bounds[-cases:] = np.kron(np.eye(cases), np.ones(modes))
+            block[-cases:, m + RESIDUAL] = -1.0
+            blocks.append(block)
+            right += [-scale * np.einsum("id,pik->dpk", normals, now).ravel(), np.full(cases, RESIDUAL_SCALE)]
+            first += count
+        matrix = np.concatenate(blocks)
         # in units of the scale
         unit = np.concatenate([self._scale, np.ones(size - m)])
         quadratic, cost = np.zeros((size, size)), np.zeros(size)
         quadratic[:m, :m] = penalty * self._metric + np.diag(CURVED / self._scale**2) + linear.curvature
         cost[:m], cost[m : m + slacks] = linear.slope, self.price
-        if self._effort is not None:
-            # the duration is given
-            cost[m - 1], quadratic[m - 1, : m - 1], quadratic[: m - 1, m - 1], matrix[:, m - 1] = 0.0, 0.0, 0.0, 0.0
+        if not self._timed:
+            # the durations are given
+            fixed = [way.columns.stop - 1 for way in self.ways]
+            diagonal = quadratic[fixed, fixed]
+            cost[fixed], quadratic[fixed], quadratic[:, fixed], matrix[:, fixed] = 0.0, 0.0, 0.0, 0.0
+            quadratic[fixed, fixed] = diagonal
         lower, upper = np.zeros(size), np.full(size, np.inf)
         lower[:m], upper[:m] = -REACH, REACH
         x, prices = solve_quadratic(
-            quadratic * unit[:, np.newaxis] * unit, cost * unit, matrix * unit, right, lower, upper
+            quadratic * unit[:, np.newaxis] * unit, cost * unit, matrix * unit, np.concatenate(right), lower, upper
         )
         x = unit * x
-        self._prices = np.zeros(len(rows.values))
-        self._prices[near] = prices[: len(near)]
+        parts = np.split(prices, np.cumsum([*map(len, near), len(linear.loads)]))
+        of_rows = [np.zeros(len(rows.values)) for rows in linear.rows]
+        for each, some, found in zip(of_rows, near, parts, strict=False):
+            each[some] = found
+        self._prices = of_rows, parts[len(near)]
         return x[:m], float(cost @ x) + 0.5 * float(x[:m] @ linear.curvature @ x[:m])
 
-    def improvements(self, start: JointSpline, iterations: int, penalty: float = PENALTY[0]) -> Iterator[State]:
+    def improvements(self, start: Motions, iterations: int, penalty: float = PENALTY[0]) -> Iterator[State]:
         """Better and better motions, from the start on.
 
         Args:
-            start: the first motion.
+            start: the first motions.
             iterations: largest number of programmes.
             penalty: first penalty on changes of the accelerations.
         """
@@ -578,7 +848,7 @@ class Stage:
             found = self._after_step(state, linear, step, penalty, fall)
             ratio = (self.merit(state) - self.merit(found)) / fall
             if ratio > 0.1:
-                state = self.state(found.motion)
+                state = self.state(found.motions)
                 linear = self.linear(state)
                 yield state
             penalty *= 4.0 if ratio < 0.1 else 2.0 if ratio < 0.4 else 0.4 if ratio > 0.8 else 1.0
@@ -587,26 +857,33 @@ class Stage:
                 return
 
     def _after_step(self, state: State, linear: Linear, step: RealArray, penalty: float, fall: float) -> State:
-        """The motion after a step, or after its second-order correction if that is better; the old one where there is none."""
+        """The motions after a step, or after its second-order correction if that is better; the old ones where there are none."""
         try:
-            found = self.state(_moved(state.motion, step), derivatives=False)
+            found = self.state(self._moved(state.motions, step), derivatives=False)
             last = found
             for _ in range(CORRECTIONS):
                 if (self.merit(state) - self.merit(found)) / fall > 0.9:
                     break
                 step = self.step(self.corrected(linear, step, last), penalty)[0]
-                last = self.state(_moved(state.motion, step), derivatives=False)
+                last = self.state(self._moved(state.motions, step), derivatives=False)
                 found = min(found, last, key=self.merit)
         except EquilibriumError:
             return state
         return found
 
+    def _moved(self, motions: Motions, step: RealArray) -> Motions:
+        """The motions after a step of the variables."""
+        found = []
+        for way, motion in zip(self.ways, motions, strict=True):
+            coefficients, own = motion.coefficients.copy(), step[way.columns]
+            coefficients[REST:-REST] += own[:-1].reshape(2, -1).T
+            found.append(JointSpline(coefficients, motion.duration + float(own[-1]), motion.degree))
+        return tuple(found)
 
-def _moved(motion: JointSpline, step: RealArray) -> JointSpline:
-    """The motion after a step of the variables."""
-    coefficients = motion.coefficients.copy()
-    coefficients[REST:-REST] += step[:-1].reshape(2, -1).T
-    return JointSpline(coefficients, motion.duration + float(step[-1]), motion.degree)
+    @staticmethod
+    def _diagonal(blocks: Sequence[RealArray]) -> RealArray:
+        """The matrix that has the ways' own ones on its diagonal."""
+        return blocks[0] if len(blocks) == 1 else np.asarray(block_diag(*blocks))
 
 
 LOOSE, FALL = 2e-5, 4.0
@@ -627,25 +904,24 @@ FINER = 2
 
 @dataclass(frozen=True, eq=False)
 class Improvement:
-    """A motion on the way to the best one.
+    """Motions on the way to the best ones.
 
     Attributes:
-        motion: the joint references.
+        motions: the joint references of each way.
         violations: largest relative violation of each of `GROUPS` among the variants that were considered; 0 where it is met.
-        residual: bound of the displacement of the end effector by vibration after the motion, of these variants [m].
+        residual: bound of the displacement of the end effector by vibration after a way, of these variants [m].
         checked: whether all variants meet all limits on the fine grid.
     """
 
-    motion: JointSpline
+    motions: Motions
     violations: Mapping[str, float]
     residual: float
     checked: bool
 
 
 def optimal_motion(
-    robots: Sequence[RobotVariant],
-    limits: MotionLimits,
-    start: JointSpline,
+    ways: Sequence[Way],
+    loads: Mapping[str, RealArray] | None = None,
     nodes: Sequence[int] | None = None,
     *,
     parts: int = 2,
@@ -656,64 +932,83 @@ def optimal_motion(
     """Joint references that are better and better within limits that hold for all robots.
 
     Args:
-        robots: the robots; those of one scene follow each other, by payload.
-        limits: the limits, with torques for all robots.
-        start: first motion; it may violate limits, and half the duration of a usual motion serves well.
-        nodes: indices of the robots that the programmes have; None for `NODES` that are denser near both ends.
-        parts: steps of the integration for each interval of the spline.
+        ways: the motion, or the ways of a cycle, each of which starts where the one before ends.
+        loads: limits of ``rms_torque`` (C, 2) [N m] and ``energy`` (C,) [J] of all ways with the pauses after them, for each case.
+        nodes: indices of the cases that the programmes have; None for `NODES` that are denser near both ends.
+        parts: steps of the integration for each interval of the splines.
         iterations: largest number of programmes in each stage.
         loose: bound of the residual vibration [m] in the first stages; the last bound is the least. Without a larger one the first
-            motion is taken to be near the best one.
-        aim: what is minimised; all but time in the duration of the first motion.
+            motions are taken to be near the best ones.
+        aim: what is minimised; all but time in the durations of the first motions.
 
     Yields:
-        Motions on the way; the last one with ``checked`` is the best that meets all limits.
+        Motions on the way; the last ones with ``checked`` are the best that meet all limits.
 
     Raises:
-        EquilibriumError: the first motion has no elastic motion.
+        EquilibriumError: the first motions have no elastic motion.
     """
-    chosen = np.array(spread(len(robots), NODES) if nodes is None else nodes)
-    motion, loose = start, max(limits.residual, loose)
+    count, limit, loads = len(ways[0].cases), ways[0].limits.residual, loads or {}
+    chosen = np.array(spread(count, NODES) if nodes is None else nodes)
+    motions, loose = tuple(way.start for way in ways), max(limit, loose)
+
+    def stage_of(chosen: NDArray[np.intp], residual: float, excess: Mapping[str, float], parts: int) -> Stage:
+        some = [
+            replace(way, start=motion, limits=replace(way.limits, residual=residual).tightened(excess)).of_cases(chosen)
+            for way, motion in zip(ways, motions, strict=True)
+        ]
+        tight = {name: each[chosen] / excess.get(name, 1.0) for name, each in loads.items()}
+        return Stage(some, tight, parts, [way.start.duration for way in ways], aim)
+
     # few variants, then all nodes, with a bound that falls
-    levels = max(1, round(math.log(loose / limits.residual, FALL)))
-    bounds = np.geomspace(loose, limits.residual, levels + 1)[:-1].tolist()
+    levels = max(1, round(math.log(loose / limit, FALL)))
+    bounds = np.geomspace(loose, limit, levels + 1)[:-1].tolist()
     stages = [(chosen[spread(len(chosen), 3)], loose), *((chosen, bound) for bound in bounds)]
-    if loose == limits.residual:
+    if loose == limit:
         # the first motion is near the best one
         stages = []
     penalty = PENALTY[0]
     for few, residual in stages:
-        stage = _stage(robots, replace(limits, residual=residual), motion, few, start.duration, parts, aim)
-        for state in stage.improvements(motion, iterations, penalty):
-            motion = state.motion
-            yield _improvement(stage, state)
+        stage = stage_of(few, residual, {}, parts)
+        for state in stage.improvements(motions, iterations, penalty):
+            motions = state.motions
+            yield _improvement(state)
         penalty = max(PENALTY[0], min(4.0 * stage.penalty, 10.0))
     # all variants on the fine grid
-    fine = _stage(robots, limits, motion, np.arange(len(robots)), start.duration, FINER * parts, aim)
-    tight, exact = limits, fine.state(motion, derivatives=False)
+    fine, excess = stage_of(np.arange(count), limit, {}, FINER * parts), dict[str, float]()
+    exact = fine.state(motions, derivatives=False, renewed=True)
     for _ in range(ROUNDS):
-        stage = _stage(robots, tight, motion, chosen, start.duration, parts, aim)
-        stage.vibration.error = exact.response.end[chosen] - stage.state(motion, derivatives=False).response.end
-        for state in stage.improvements(motion, iterations, penalty):
-            motion = state.motion
-            yield _improvement(stage, state)
-        exact = fine.state(motion, derivatives=False)
+        stage = stage_of(chosen, limit, excess, parts)
+        coarse = stage.state(motions, derivatives=False, renewed=True)
+        for way, each, there, here in zip(ways, stage.ways, exact.responses, coarse.responses, strict=True):
+            each.vibration.error = there.end[np.unique(way.cases[chosen])] - here.end
+        for state in stage.improvements(motions, iterations, penalty):
+            motions = state.motions
+            yield _improvement(state)
+        exact = fine.state(motions, derivatives=False, renewed=True)
         met = bool((exact.violations <= CHECKED).all())
-        yield replace(_improvement(fine, exact), checked=met)
+        yield replace(_improvement(exact), checked=met)
         if met:
             return
         # the worst variants join the nodes, and what else lies between them tightens the limits
-        missed = [name for name, is_missed in zip(GROUPS, exact.violations > CHECKED, strict=True) if is_missed]
-        residuals, loads = fine.vibration.largest(exact.response.end), fine.rows.loads(motion, exact.response)
-        worst, excess = {int(residuals.argmax())}, dict[str, float]()
+        missed = {name for name, is_missed in zip(GROUPS, exact.violations > CHECKED, strict=True) if is_missed}
+        residuals = np.max([_sizes(each) for each in exact.amplitudes], axis=0)
+        worst = {int(residuals.argmax())}
         if "residual" in missed:
-            share = float(max(residuals[chosen].max(), tight.residual) / residuals.max())
-            excess["residual"] = 1.0 / float(np.clip(share, 0.5, 0.95))
-        for name in loads.keys() & {*missed}:
-            size = np.abs(loads[name])
-            excess[name] = float(size.max()) / 0.9998
-            worst.add(int(np.unravel_index(size.argmax(), size.shape)[0]))
-        tight, chosen = tight.tightened(excess), np.unique([*chosen, *worst])
+            tight = limit / excess.get("residual", 1.0)
+            share = float(max(residuals[chosen].max(), tight) / residuals.max())
+            excess["residual"] = excess.get("residual", 1.0) / float(np.clip(share, 0.5, 0.95))
+        # each load of every way, by case
+        sizes = [(name, each) for name, each in exact.loads.items()]
+        for k, (way, of_way) in enumerate(zip(ways, fine.ways, strict=True)):
+            found = of_way.rows.loads(exact.motions[k], exact.responses[k])
+            sizes += [(name, np.abs(each)[way.cases]) for name, each in found.items()]
+        beyond = dict[str, float]()
+        for name, size in sizes:
+            if name in missed:
+                beyond[name] = max(beyond.get(name, 0.0), float(size.max()) / 0.9998)
+                worst.add(int(np.unravel_index(size.argmax(), size.shape)[0]))
+        excess |= {name: excess.get(name, 1.0) * factor for name, factor in beyond.items()}
+        chosen = np.unique([*chosen, *worst])
 
 
 def spread(count: int, number: int) -> list[int]:
@@ -722,19 +1017,8 @@ def spread(count: int, number: int) -> list[int]:
     return sorted({int(k) for k in np.rint(nodes * (count - 1))}) if number > 1 else [(count - 1) // 2]
 
 
-def _stage(
-    robots: Sequence[RobotVariant],
-    limits: MotionLimits,
-    motion: JointSpline,
-    chosen: NDArray[np.intp],
-    unit: float,
-    parts: int,
-    aim: Aim,
-) -> Stage:
-    elastic = FleetResponse([robots[int(k)] for k in chosen], motion.coefficients[0], parts * motion.intervals)
-    return Stage(elastic, limits.of_variants(chosen), motion, unit, aim)
-
-
-def _improvement(stage: Stage, state: State) -> Improvement:
-    residual = float(stage.vibration.largest(state.response.end).max(initial=0.0))
-    return Improvement(state.motion, dict(zip(GROUPS, state.violations.tolist(), strict=True)), residual, checked=False)
+def _improvement(state: State) -> Improvement:
+    residual = max(float(_sizes(each).max(initial=0.0)) for each in state.amplitudes)
+    return Improvement(
+        state.motions, dict(zip(GROUPS, state.violations.tolist(), strict=True)), residual, checked=False
+    )

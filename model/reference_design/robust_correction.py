@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import expm
 
-from flexfmu.model.reference_design.elastic_response import ElasticResponse, Response, Rest, free_modes
+from flexfmu.model.reference_design.elastic_response import ElasticResponse, Response, Rest, free_modes, free_systems
 from flexfmu.model.reference_design.inverse_dynamics import LEAD
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis, knot_means, reference_derivatives
 from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
@@ -251,11 +251,9 @@ def _free_vibration(rest: Rest) -> RealArray:
     """End effector (P, times, 2, 2 n) after the motion from elastic coordinates and rates at its end, about rest."""
     n = rest.elastic.shape[1]
     found = []
-    for jacobian in rest.jacobian:
-        by_q, by_v, by_a = (jacobian[:, i * n : (i + 1) * n] for i in range(3))
-        accelerations = np.linalg.solve(by_a[:n], -np.hstack([by_q[:n], by_v[:n]]))
-        system = np.vstack([np.eye(2 * n)[n:], accelerations])
-        output = np.hstack([by_q[n + 2 :], by_v[n + 2 :]]) + by_a[n + 2 :] @ accelerations
+    for jacobian, system in zip(rest.jacobian, free_systems(rest), strict=True):
+        by_q, by_v, by_a = (jacobian[n + 2 :, i * n : (i + 1) * n] for i in range(3))
+        output = np.hstack([by_q, by_v]) + by_a @ system[n:]
         step, states = expm(system * VIBRATION_STEP), [np.eye(2 * n)]
         for _ in range(round(VIBRATION_TIME / VIBRATION_STEP)):
             states.append(step @ states[-1])

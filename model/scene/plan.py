@@ -160,11 +160,31 @@ class PlanLimits(Section):
     off_path: Annotated[Positive | None, quantity("m")] = None
 
 
+class TargetSection(Section):
+    """A further place of a cycle, the payload that is carried there, and the time at rest there; by default that of the cycle."""
+
+    position: Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m")]
+    payload: Annotated[NotNegative, quantity("kg")]
+    pause: Annotated[NotNegative | None, quantity("s")] = None
+
+
+class CycleSection(Section):
+    """A cycle: the scene's motion with its payload, then to each of `targets`, and back to the start with `return_payload`.
+
+    The robot rests for `pause` at each place.
+    """
+
+    return_payload: Annotated[NotNegative, quantity("kg")] = 0.0
+    pause: SecondsOrZero = 0.1
+    targets: Annotated[tuple[TargetSection, ...], BeforeValidator(as_tuple)] = ()
+
+
 class PlanSection(Section):
     """The wishes for a planned motion; all have defaults."""
 
     minimise: Aim = "time"
     duration: Annotated[Positive | None, quantity("s")] = None
+    cycle: CycleSection | None = None
     residual: Annotated[Positive, quantity("m")] = 1e-6
     settled_within: SecondsOrZero = 0.0
     payload_band: Annotated[

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.goals import MET, RATES, Goals, Variation, peak_rates
@@ -20,7 +22,7 @@ from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.experiment.metric import Metric, RunMetrics
 from flexfmu.cosim.experiment.planning import plan, plan_own
-from flexfmu.cosim.experiment.scene_loop import own_loop
+from flexfmu.cosim.experiment.scene_loop import loop_of, own_loop
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal, about_scene
 from flexfmu.cosim.many.prepared_scene import PreparedScene
@@ -28,6 +30,8 @@ from flexfmu.cosim.metrics.metrics import joint_speed, product
 from flexfmu.cosim.metrics.segments import Analysis, HermiteSegments
 from flexfmu.cosim.metrics.signals import TORQUES, segments
 from flexfmu.cosim.metrics.stress import link_stresses
+from flexfmu.model.reference_design import optimal_control
+from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.sources import OwnMotion, as_trajectory
@@ -46,6 +50,9 @@ SAME_PLACE = 1e-5
 INSTANTS = 4001
 """Instants at which references are examined."""
 
+STEPS = 300
+"""Steps of the integration that tells what a way leaves in the next."""
+
 SAMPLES = 65
 """Instants at which references are compared with those in a journal."""
 
@@ -59,22 +66,36 @@ class Candidate:
         method: where it comes from.
         scene: the scene with this motion's keys.
         trajectory: motion of the joints q11, q21 [rad], in place of the scene's; None for the scene's own motion.
+        ways: the motions of a cycle; empty for a single motion. The scene is that of the first one.
     """
 
     label: str
     method: Method
     scene: Scene
     trajectory: Trajectory | None = None
+    ways: tuple[Candidate, ...] = ()
 
     @property
     def content(self) -> Mapping[str, Any]:
         """What tells the motion from others: keys of the scene, and samples of its own references."""
+        if self.ways:
+            return {"ways": [each.content for each in self.ways]}
         own = self.trajectory
         return {
             **about_scene(self.scene),
             "method": self.method,
             "references": None if own is None else own.evaluate(np.linspace(0.0, own.duration, SAMPLES), 2, "left"),
         }
+
+    @property
+    def joints(self) -> Trajectory:
+        """Its references of the joints, with shapers.
+
+        Raises:
+            TrajectoryError: the motion isn't feasible.
+        """
+        own = self.trajectory
+        return (loop_of(self.scene) if own is None else own_loop(self.scene, own)).motion.joints
 
     def prepared(self, *, tolerance: float = TOLERANCE, step: float = STEP) -> PreparedScene:
         """The candidate, ready for runs.
@@ -261,13 +282,15 @@ class Judge:
 
     def __init__(self, goals: Goals, payloads: int = 7, journal: WorkJournal = NOWHERE) -> None:
         self.goals, self.variations, self._journal = goals, goals.variations(payloads), journal
+        self._payloads = payloads
         self._path = goals.trace
         self._tree = cKDTree(self._path)
 
     @cached_property
     def given(self) -> Assessment:
         """The given motion."""
-        return self.assess(Candidate("given", "given", self.goals.scene), given=True)
+        ways = tuple(Candidate("given", "given", each.scene, each.own) for each in self.goals.ways)
+        return self.assess(Candidate("given", "given", self.goals.scene, self.goals.own, ways), given=True)
 
     def assess(self, candidate: Candidate, *, given: bool = False) -> Assessment:
         """Run a candidate over the bands.
@@ -283,7 +306,63 @@ class Judge:
             self.goals.judged[place] = self._journal.kept(key, Judged, lambda: self._judged(candidate, given=given))
         return Assessment(candidate, *self.goals.judged[place])
 
+    def of_ways(self, candidate: Candidate, *, given: bool = False) -> tuple[Assessment, ...]:
+        """The assessments of each way of a cycle; arguments and errors as for `assess`."""
+        judges = [Judge(each, self._payloads, self._journal) for each in self.goals.ways]
+        return tuple(
+            judge.given if given else judge.assess(way) for judge, way in zip(judges, candidate.ways, strict=True)
+        )
+
+    def _of_cycle(self, ways: Sequence[Assessment], candidate: Candidate) -> Assessment:
+        """What a cycle is worth: over all its ways and pauses, for each robot of the bands and what it carries on the other ways."""
+        pauses = [each.pause or 0.0 for each in self.goals.ways]
+        times = [way.time + pause for way, pause in zip(ways, pauses, strict=True)]
+        variations = [[peaks.variation for peaks in way.peaks] for way in ways]
+        cases = cases_of(variations)
+        left = _left_vibration(self.goals, [each.joints for each in candidate.ways], variations, cases)
+        found = []
+        for case, first in enumerate(variations[int(np.argmax([*map(len, variations)]))]):
+            # with instants of the cycle
+            each = list[Peaks]()
+            for way, of_case, bound, start in zip(ways, cases, left, np.cumsum(times) - times, strict=True):
+                # also in the first cycle, which starts at rest
+                peaks, (periodic, more) = way.peaks[of_case[case]], bound[:, case].tolist()
+                each.append(
+                    replace(
+                        peaks,
+                        torque_time=(float(start) + peaks.torque_time[0], float(start) + peaks.torque_time[1]),
+                        residual=max(peaks.residual, min(peaks.residual + more, periodic)),
+                        off_path=(peaks.off_path[0], float(start) + peaks.off_path[1]),
+                        clearance=(peaks.clearance[0], float(start) + peaks.clearance[1]),
+                    )
+                )
+            torque = [max((peaks.torque[k], peaks.torque_time[k]) for peaks in each) for k in range(2)]
+            squares = np.average([np.square(peaks.rms_torque) for peaks in each], axis=0, weights=times)
+            found.append(
+                Peaks(
+                    first,
+                    torque=(torque[0][0], torque[1][0]),
+                    torque_time=(torque[0][1], torque[1][1]),
+                    rms_torque=(float(squares[0] ** 0.5), float(squares[1] ** 0.5)),
+                    power=(max(peaks.power[0] for peaks in each), max(peaks.power[1] for peaks in each)),
+                    residual=max(peaks.residual for peaks in each),
+                    energy=sum(peaks.energy for peaks in each),
+                    supply_power=max(peaks.supply_power for peaks in each),
+                    regenerated_power=max(peaks.regenerated_power for peaks in each),
+                    off_path=max(peaks.off_path for peaks in each),
+                    clearance=min(peaks.clearance for peaks in each),
+                    reaction=max(peaks.reaction for peaks in each),
+                    stress=max(peaks.stress for peaks in each),
+                )
+            )
+        speed, acceleration, jerk = np.max([way.references for way in ways], axis=0).tolist()
+        return Assessment(candidate, sum(times), tuple(found), (speed, acceleration, jerk))
+
     def _judged(self, candidate: Candidate, *, given: bool) -> Judged:
+        if candidate.ways:
+            cycle = self._of_cycle(self.of_ways(candidate, given=given), candidate)
+            uses = tuple(self._uses(cycle, cycle if given else self.given))
+            return cycle.time, cycle.peaks, cycle.references, uses
         prepared = candidate.prepared()
         found = []
         for variation in self.variations:
@@ -317,6 +396,11 @@ class Judge:
         if wait := self.goals.wishes.settled_within:
             rest = points[-1]
             residual = float(np.hypot(*(points[recording.time >= end + wait] - rest).T).max())
+        # over the pause of a cycle instead of the dwell, at the end of which the robot rests
+        rms = np.array([float(metrics[f"rms_torque_{joint}"]) for joint in (1, 2)])
+        if (pause := self.goals.pause) is not None:
+            dwell, holding = recording.time[-1] - end, np.array([each[-1] for each in torques])
+            rms = np.sqrt((rms**2 * (end + dwell) + holding**2 * (pause - dwell)) / (end + pause))
         # forces in elbows and between the legs and the end effector; no stress in rigid links
         reaction = stress = math.nan
         if "reaction" in self.goals.limits:
@@ -330,7 +414,7 @@ class Judge:
             variation,
             (float(metrics["peak_torque_1"]), float(metrics["peak_torque_2"])),
             tuple(float(recording.time[np.abs(each).argmax()]) for each in torques),  # type: ignore[arg-type]
-            (float(metrics["rms_torque_1"]), float(metrics["rms_torque_2"])),
+            (float(rms[0]), float(rms[1])),
             (power(1), power(2)),
             residual,
             float(metrics["positive_energy_1"]) + float(metrics["positive_energy_2"]),
@@ -370,6 +454,51 @@ class Judge:
             yield limit.used(value, where)
         if wishes.duration is not None:
             yield Limit("time", wishes.duration, "s", rounding=MET).used(found.time, "whole motion")
+
+
+def cases_of(variations: Sequence[Sequence[Variation]]) -> list[NDArray[np.intp]]:
+    """Index (C,) of the robot of each way for every case: those of the way with most robots, and on other ways as near in payload as can be."""
+    cases, found = max(variations, key=len), list[NDArray[np.intp]]()
+    heaviest = [max(each.payload for each in robots) or 1.0 for robots in variations]
+    for robots, heavy in zip(variations, heaviest, strict=True):
+        most = max(each.payload for each in cases) or 1.0
+        away = [
+            [
+                abs(case.payload / most - robot.payload / heavy)
+                + 1e3 * (abs(case.stiffness - robot.stiffness) + abs(case.damping - robot.damping))
+                for robot in robots
+            ]
+            for case in cases
+        ]
+        found.append(np.argmin(away, axis=1))
+    return found
+
+
+def _left_vibration(
+    goals: Goals,
+    motions: Sequence[Trajectory],
+    variations: Sequence[Sequence[Variation]],
+    cases: Sequence[NDArray[np.intp]],
+) -> RealArray:
+    """Bounds (W, 2, C) [m] of each way's residual vibration in the periodic motion, and of its difference from that from rest."""
+    ends, states, transfers = list[optimal_control.ResidualVibration](), list[RealArray](), list[RealArray]()
+    for way, motion, robots in zip(goals.ways, motions, variations, strict=True):
+        first, last = motion.evaluate([0.0, motion.duration], 0, "right")[0]
+        changes = [each.changes(way.scene) for each in robots]
+        response = ElasticResponse(way.scene, changes, first, STEPS, CompiledAtPoints)
+        references = np.hstack(list(motion.evaluate(response.fractions * motion.duration, 2, "left")))
+        ends.append(optimal_control.ResidualVibration([response.model], last))
+        states.append(ends[-1].away(response.respond(references, motion.duration).end))
+        transfers.append(response.transfer(motion.duration))
+    left = optimal_control.LeftVibration([end.rests for end in ends], [each.pause or 0.0 for each in goals.ways], cases)
+    left.renew(transfers)
+    pairs = zip(ends, cases, left.periodic(states), states, strict=True)
+    return np.array(
+        [
+            [optimal_control.bounds(end.matrices[k], each) for each in (periodic, periodic - own[k])]
+            for end, k, periodic, own in pairs
+        ]
+    )
 
 
 def _both_powers(recording: Recording, joints: Trajectory) -> tuple[float, float]:

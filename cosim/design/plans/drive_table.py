@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import ceil, pi
 from pathlib import Path
 
@@ -72,22 +72,41 @@ class DriveTable:
         return "\n".join(lines) + "\n"
 
 
-def drive_table(candidate: Candidate, rate: float, unit: str = "rad", counts: float | None = None) -> DriveTable:
-    """Sample a motion for a drive.
+def drive_table(
+    candidate: Candidate, rate: float, unit: str = "rad", counts: float | None = None, *, pauses: Sequence[float] = ()
+) -> DriveTable:
+    """Sample a motion or a cycle for a drive.
 
     Args:
-        candidate: the motion.
+        candidate: the motion, or a cycle, whose last sample is that before the first one.
         rate: samples a second.
         unit: of the angles, one of `ANGLES`; without meaning for counts.
         counts: encoder counts of one turn of a joint, to which positions, velocities and accelerations are rounded; None for no rounding.
+        pauses: time at rest after each way of a cycle [s].
 
     Raises:
         InputError: a rate or a number of counts out of range, or an unknown unit.
         TrajectoryError, ResultsError: the motion can't be planned or run.
     """
     check_drive(rate, unit, counts)
+    if candidate.ways:
+        tables = [_sampled(way, rate, unit, counts, pause) for way, pause in zip(candidate.ways, pauses, strict=True)]
+        values, torque = (
+            np.concatenate([getattr(each, name) for each in tables], axis)
+            for name, axis in (("values", 1), ("torque", 0))
+        )
+        return replace(tables[0], values=values, torque=torque)
+    return _sampled(candidate, rate, unit, counts)
+
+
+def _sampled(
+    candidate: Candidate, rate: float, unit: str, counts: float | None, pause: float | None = None
+) -> DriveTable:
+    """The samples of a motion up to its last one at rest, or with a pause up to that before the next motion."""
     run = candidate.prepared(tolerance=TOLERANCE, step=1.0 / rate).run()
     joints, steps = run.plan.joints, ceil(run.plan.joints.duration * rate - SHARE)
+    if pause is not None:
+        steps = max(steps, ceil((joints.duration + pause) * rate - SHARE) - 1)
     instants = np.arange(steps + 1) / rate
     values = joints.evaluate(np.minimum(instants, joints.duration), 2, "right")
     # at rest from the end on
@@ -124,7 +143,12 @@ def write_drive_table(
     Returns:
         The table, and what its samples are worth over the bands: the FMU follows the drive's motion.
     """
-    table = drive_table(candidate, rate, unit, counts)
+    table = drive_table(candidate, rate, unit, counts, pauses=[each.pause or 0.0 for each in goals.ways])
     write_whole(path, table.to_csv())
-    sampled = Candidate(f"{path.name}, {rate:g} samples a second", "csv", goals.scene, table.trajectory())
-    return table, Judge(goals, PAYLOADS).assess(sampled)
+    label = f"{path.name}, {rate:g} samples a second"
+    motions = [drive_table(each, rate, unit, counts).trajectory() for each in candidate.ways] or [table.trajectory()]
+    parts = tuple(
+        Candidate(label, "csv", each.scene, motion)
+        for each, motion in zip(goals.ways or (goals,), motions, strict=True)
+    )
+    return table, Judge(goals, PAYLOADS).assess(replace(parts[0], ways=parts if goals.ways else ()))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,10 @@ from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.clearance import Clearance, Polygon, clearance_of_trace
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.experiment.planning import MotionPlan, plan
-from flexfmu.model.scene.plan import PlanSection, Ratio
+from flexfmu.cosim.experiment.cycles import Reversed
+from flexfmu.cosim.experiment.planning import MotionPlan, plan, plan_own
+from flexfmu.model.scene.motion import TrajectorySection
+from flexfmu.model.scene.plan import PlanSection, Ratio, TargetSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.trajectories.jets import RealArray
@@ -42,6 +44,9 @@ MET = 1e-5
 
 NO_LIMIT = 1e9
 """Stands for a limit that isn't set."""
+
+SAME_PLACE = 1e-6
+"""Distance [m] below which two places of a cycle are the same."""
 
 GRID = 160
 """Points along each side of the grid on which a way around the regions is looked for."""
@@ -103,6 +108,9 @@ class Goals:
         limits: by name.
         clearance: where the end effector may go.
         payload: mass that the planned scene has [kg]; None for that of `scene`.
+        own: the given motion of the joints where it isn't the scene's.
+        pause: time at rest after the motion that RMS torques contain [s]; None for the scene's dwell.
+        ways: the goals of each way of a cycle; empty for a single motion. The goals of a cycle have the scene of its first way.
         judged: what judges of these goals have found, so that none runs a motion again: by number of robots and motion.
     """
 
@@ -111,6 +119,9 @@ class Goals:
     limits: Mapping[str, Limit]
     clearance: Clearance
     payload: float | None = None
+    own: Trajectory | None = None
+    pause: float | None = None
+    ways: tuple[Goals, ...] = ()
     judged: dict[tuple[int, Any], Any] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @cached_property
@@ -120,8 +131,8 @@ class Goals:
 
     @cached_property
     def given(self) -> MotionPlan:
-        """The scene's own motion."""
-        return plan(self.scene)
+        """The given motion."""
+        return plan(self.scene) if self.own is None else plan_own(self.scene, self.own)
 
     @cached_property
     def band(self) -> tuple[float, float]:
@@ -153,7 +164,58 @@ def payload_band(scene: Scene, wishes: PlanSection) -> tuple[float, float]:
 
 
 def goals_of(scene: Scene) -> Goals:
-    """The wishes of a scene's section `plan`, or the defaults, in numbers, checked against each other.
+    """The wishes of a scene's section `plan`, or the defaults, in numbers, checked against each other; see `Goals.ways` for cycles.
+
+    Raises:
+        TrajectoryError: the given motion isn't feasible.
+        InputError: wishes contradict each other or what the robot can do.
+    """
+    goals = _goals_of_motion(scene)
+    cycle, section = goals.wishes.cycle, goals.scene.trajectory
+    if cycle is None:
+        return goals
+    if not isinstance(section, TrajectorySection):
+        raise InputError(
+            f"scene {scene.name} has a motion from a table: `plan.cycle` needs a path, whose height its ways have"
+        )
+    targets = [*cycle.targets, TargetSection(position=goals.scene.start, payload=cycle.return_payload)]
+    places = [goals.trace[0], goals.trace[-1], *(np.array(each.position) for each in targets)]
+    payloads = [scene.payload.mass, *(each.payload for each in targets)]
+    pauses = [cycle.pause, *(cycle.pause if each.pause is None else each.pause for each in targets)]
+    ways = []
+    for k, (start, end) in enumerate(pairwise(places)):
+        # paths go to the right, or up; a way to the left is one reversed in time
+        left, right = sorted((start, end), key=lambda each: (round(float(each[0]), 9), float(each[1])))
+        width = float(np.hypot(*(right - left)))
+        if width < SAME_PLACE:
+            raise InputError(
+                f"`plan.cycle` stays at ({start[0]:g}, {start[1]:g}) m, its place {k + 1}: leave out one of two equal places"
+            )
+        changes: dict[str, Any] = {"plan.cycle": None, "payload.mass": payloads[k]}
+        changes |= {"trajectory.way_back": "none", "trajectory.cycles": 1, "trajectory.pause": 0.0}
+        if isinstance(goals.wishes.payload_band, tuple) and payloads[k] != scene.payload.mass:
+            changes["plan.payload_band"] = 0.0
+        if max(np.hypot(*(places[0] - left)), np.hypot(*(places[1] - right))) > SAME_PLACE:
+            # a path of the same height, as fast
+            normal = np.array([left[1] - right[1], right[0] - left[0]]) / width
+            stretch = (width + 2.0 * section.height) / (section.width + 2.0 * section.height)
+            changes |= {
+                "trajectory.start": tuple(left.tolist()),
+                "trajectory.lift": tuple((normal * np.copysign(1.0, normal @ np.array(section.lift))).tolist()),
+                "trajectory.width": width,
+                "trajectory.blend.width": min(section.blend.width, 0.5 * width),
+                "trajectory.duration": section.duration * stretch**0.5,
+            }
+        of_way = _goals_of_motion(scene.replace(changes))
+        if left is end:
+            own = Reversed(of_way.given.once.joints)
+            of_way = replace(of_way, own=own, scene=plan_own(of_way.scene, own).scene)
+        ways.append(replace(of_way, pause=pauses[k]))
+    return replace(goals, ways=tuple(ways))
+
+
+def _goals_of_motion(scene: Scene) -> Goals:
+    """The goals of a single motion.
 
     Raises:
         TrajectoryError: the given motion isn't feasible.
@@ -234,6 +296,13 @@ def checked_goals(scene: Scene) -> Goals:
         InputError: no motion can keep to the wishes; the message names the wish, its value and the remedy.
     """
     goals = goals_of(scene)
+    for each in goals.ways or (goals,):
+        _check(each)
+    return goals
+
+
+def _check(goals: Goals) -> None:
+    """Check the goals of a motion."""
     # start and end may not lie where the end effector must not be
     for name, point in (("start", goals.trace[0]), ("end", goals.trace[-1])):
         distance = float(goals.clearance.distance(point[None])[0])
@@ -245,7 +314,6 @@ def checked_goals(scene: Scene) -> Goals:
     _check_way(goals)
     check_holding_torque(goals)
     _check_duration(goals)
-    return goals
 
 
 def _check_way(goals: Goals) -> None:

@@ -14,9 +14,10 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.code import CompiledAtPoints
-from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, cases_of
 from flexfmu.cosim.design.plans.goals import RATES, Goals, Variation
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
@@ -75,10 +76,10 @@ CORRECTED_FOR, USED = 16, 0.99
 """Payloads of the correction on the given path, of which fewer are overfitted, and share of each limit that is used: the correction
 meets limits to half a percent, and the given torques vary between payloads."""
 
-Optimum = tuple[list[tuple[float, float]], float, int, float] | None
+Optimum = tuple[list[tuple[list[tuple[float, float]], float, int]], float] | None
 Corrected = tuple[list[tuple[float, float]], float, int, str]
-"""What a journal has of a motion: the spline's coefficients, duration and degree, and its worst violation (None where there is no motion),
-or what follows the label."""
+"""What a journal has of motions: each spline's coefficients, duration and degree, with their worst violation (None where there is no
+motion), and with what follows the label."""
 
 
 def optimal(
@@ -93,45 +94,37 @@ def optimal(
     """
     if np.hypot(*(goals.trace[-1] - goals.trace[0])) < RETURN:
         raise InputError("optimal control plans a motion from one place to another, and this one ends where it starts")
-    own, fuller = (goals.variations(count) for count in PAYLOADS)
-    groups, nodes = [(goals.scene, own)], _nodes(own, optimal_control.NODES)
-    if (scene := fuller_scene(goals.scene)) is not None:
-        groups.append((scene, fuller))
-        nodes += [len(own) + k for k in _nodes(fuller, FULLER_NODES)]
-    robots = [
-        [RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in variations]
-        for scene, variations in groups
-    ]
-    limits, joints = _limits(goals, found[0], robots), goals.given.once.joints
-    judge, wishes = Judge(goals, PAYLOADS[0], journal), goals.wishes
-    durations = [share * joints.duration for share in STARTS] if wishes.duration is None else [wishes.duration]
-    for duration in durations:
-        start = fitted(joints, INTERVALS, side="left").with_duration(duration)
-        tight, loose, tried, is_first = limits, optimal_control.LOOSE, False, True
+    motions, nodes = _ways(goals)
+    tight_ways, tight_loads = _limited(goals, found[0], motions)
+    judge, wishes, given = Judge(goals, PAYLOADS[0], journal), goals.wishes, found[0].time
+    pauses = sum(each.pause or 0.0 for each in goals.ways)
+    shares = STARTS if wishes.duration is None else ((wishes.duration - pauses) / (given - pauses),)
+    for share in shares:
+        ways, loads = tight_ways, tight_loads
+        ways = [replace(way, start=way.start.with_duration(share * way.start.duration)) for way in ways]
+        loose, tried, is_first = optimal_control.LOOSE, False, True
         for number in range(TRIES):
 
             def best(
-                tight: optimal_control.MotionLimits = tight, start: JointSpline = start, loose: float = loose
+                ways: Sequence[optimal_control.Way] = ways, loads: Mapping[str, RealArray] = loads, loose: float = loose
             ) -> Any:
                 last: optimal_control.Improvement | None = None
                 try:
-                    for last in optimal_control.optimal_motion(
-                        [*chain(*robots)], tight, start, nodes, loose=loose, aim=wishes.minimise
-                    ):
-                        show(f"optimal control over the bands: {last.motion.duration:.4g} s", None)
+                    for last in optimal_control.optimal_motion(ways, loads, nodes, loose=loose, aim=wishes.minimise):
+                        time = pauses + sum(each.duration for each in last.motions)
+                        show(f"optimal control over the bands: {time:.4g} s", None)
                 except EquilibriumError:
                     # too fast for the links: a slower start may do
                     return None
-                return last and (*vars(last.motion).values(), max(last.violations.values()))
+                return last and ([(*vars(each).values(),) for each in last.motions], max(last.violations.values()))
 
-            found_motion = journal.kept(("optimal", duration, number), Optimum, best)
-            if found_motion is None or found_motion[-1] >= NEARLY:
+            found_motions = journal.kept(("optimal", share, number), Optimum, best)
+            if found_motions is None or found_motions[-1] >= NEARLY:
                 break
-            coefficients, time, degree, _ = found_motion
-            motion = JointSpline(np.array(coefficients), time, degree)
+            splines = [JointSpline(np.array(coefficients), *more) for coefficients, *more in found_motions[0]]
+            time = pauses + sum(each.duration for each in splines)
             aim = "robust" if wishes.minimise == "time" else wishes.minimise
-            label, tried = f"optimal control, {aim}, {time:.4g} s", True
-            candidate = Candidate(label, "optimal control", goals.scene, motion.trajectory())
+            tried, candidate = True, _candidate(goals, f"optimal control, {aim}, {time:.4g} s", splines)
             yield candidate
             judged = judge.assess(candidate)
             excess = excesses(judged)
@@ -141,11 +134,44 @@ def optimal(
             if not excess:
                 return
             # what the FMU finds beyond the limits is taken off them, from this motion on
-            tight, loose = tightened(tight, excess), 0.0
-            far = max(excess.values()) > SLOWER
-            start = motion.with_duration(wishes.duration or (SLOWER if far else 1.0) * time)
+            slower = SLOWER if max(excess.values()) > SLOWER and wishes.duration is None else 1.0
+            ways = [
+                replace(way, limits=tightened(way.limits, excess), start=each.with_duration(slower * each.duration))
+                for way, each in zip(ways, splines, strict=True)
+            ]
+            loads, loose = {name: each / excess.get(name, 1.0) for name, each in loads.items()}, 0.0
         if tried:
             return
+
+
+def _candidate(goals: Goals, label: str, splines: Sequence[JointSpline]) -> Candidate:
+    """The motion or the cycle of these splines."""
+    parts = [
+        Candidate(label, "optimal control", each.scene, spline.trajectory())
+        for each, spline in zip(goals.ways or (goals,), splines, strict=True)
+    ]
+    return replace(parts[0], ways=tuple(parts)) if goals.ways else parts[0]
+
+
+Robots = list[list[RobotVariant]]
+"""Robots of a way, by scene."""
+
+
+def _ways(goals: Goals) -> tuple[list[tuple[Robots, NDArray[np.intp]]], list[int]]:
+    """The robots of each way in the scene's model and in a fuller one with the robot of every case, and the programmes' cases."""
+    ways, nodes = [(Robots(), list[NDArray[np.intp]]()) for _ in goals.ways or (goals,)], list[int]()
+    each_goals = goals.ways or (goals,)
+    for count, few, fuller in zip(PAYLOADS, (optimal_control.NODES, FULLER_NODES), (False, True), strict=True):
+        variations = [each.variations(count) for each in each_goals]
+        scenes = [fuller_scene(each.scene) if fuller else each.scene for each in each_goals]
+        first = sum(map(len, ways[0][1]))
+        for (robots, cases), scene, own, of_case in zip(ways, scenes, variations, cases_of(variations), strict=True):
+            if scene is not None:
+                cases.append(sum(map(len, robots)) + of_case)
+                robots.append([RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in own])
+        if scenes[0] is not None:
+            nodes += [first + k for k in _nodes(max(variations, key=len), few)]
+    return [(robots, np.concatenate(cases)) for robots, cases in ways], nodes
 
 
 def excesses(judged: Assessment) -> Mapping[str, float]:
@@ -204,41 +230,71 @@ def _nodes(variations: Sequence[Variation], count: int) -> list[int]:
     return [*optimal_control.spread(payloads, count), *range(payloads, len(variations))]
 
 
-def _limits(goals: Goals, given: Assessment, robots: Sequence[Sequence[RobotVariant]]) -> optimal_control.MotionLimits:
-    """The goals' limits in numbers, torques for each robot, relative to what the given motion needs in the same model."""
+def _limited(
+    goals: Goals, given: Assessment, motions: Sequence[tuple[Robots, NDArray[np.intp]]]
+) -> tuple[list[optimal_control.Way], dict[str, RealArray]]:
+    """The ways with the goals' limits in numbers, for each robot relative to what the given motion or cycle needs in the same model, and
+    the limits of the cycle's loads for each case."""
     share, clear, quiet = RESERVE
     speed, acceleration, jerk = (
         goals.limit(name, np.array(value)).item() for name, value in zip(RATES, given.references, strict=True)
     )
+    each_goals = goals.ways or (goals,)
+    pauses = [each.scene.trajectory.dwell if each.pause is None else each.pause for each in each_goals]
+    names = ["torque", *(name for name in LOADS if name in goals.limits)]
+    needs = list[dict[str, RealArray]]()
+    for of_way, (robots, cases), pause in zip(each_goals, motions, pauses, strict=True):
+        found = [_given_loads(of_way, each, names, pause) for each in robots]
+        needs.append({name: np.concatenate([each[name] for each in found])[cases] for name in found[0]})
+    # the largest of all ways, or their sum
+    time = sum(each.given.once.duration + pause for each, pause in zip(each_goals, pauses, strict=True))
+    usual = dict[str, RealArray]()
+    for name in names:
+        if name in optimal_control.OF_CYCLE:
+            whole = np.sum([each[name] for each in needs], axis=0)
+            usual[name] = np.sqrt(whole / time) if name == "rms_torque" else whole
+        else:
+            usual[name] = np.max([each[name] for each in needs], axis=0)
+    limits = {name: share * goals.limit(name, each) for name, each in usual.items()}
+    ways = []
+    for of_way, (robots, cases), pause in zip(each_goals, motions, pauses, strict=True):
+        every = [*chain(*robots)]
+        loads = dict[str, RealArray]()
+        for name, limit in limits.items():
+            if name not in optimal_control.OF_CYCLE:
+                # a robot of several cases keeps the least limit
+                loads[name] = np.full((len(every), *limit.shape[1:]), np.inf)
+                np.minimum.at(loads[name], cases, limit)
 
-    def distances(points: RealArray) -> tuple[RealArray, RealArray]:
-        distance, gradient = goals.clearance.distances(points)
-        return distance + clear * goals.wishes.margin, gradient
+        def distances(points: RealArray, of_way: Goals = of_way) -> tuple[RealArray, RealArray]:
+            distance, gradient = of_way.clearance.distances(points)
+            return distance + clear * goals.wishes.margin, gradient
 
-    given_loads = [_given_loads(goals, each) for each in robots]
-    loads = {name: np.concatenate([each[name] for each in given_loads]) for name in given_loads[0]}
-    loads = {name: share * goals.limit(name, usual) for name, usual in loads.items()}
-    torque = loads.pop("torque")
-    pause = goals.scene.trajectory.dwell
-    return optimal_control.MotionLimits(
-        torque, speed, acceleration, jerk, quiet * goals.wishes.residual, distances, loads, pause
-    )
+        own = optimal_control.MotionLimits(
+            loads.pop("torque"), speed, acceleration, jerk, quiet * goals.wishes.residual, distances, loads, pause
+        )
+        start = fitted(of_way.given.once.joints, INTERVALS, side="left")
+        ways.append(optimal_control.Way(every, own, start, cases))
+    return ways, {name: limit for name, limit in limits.items() if name in optimal_control.OF_CYCLE}
 
 
-def _given_loads(goals: Goals, robots: Sequence[RobotVariant]) -> dict[str, RealArray]:
-    """The largest torques of the given motion (P, 2) [N m], and its other loads that are limited, (P, 2) or (P,)."""
-    motion, names = goals.given.once, ["torque", *(name for name in LOADS if name in goals.limits)]
+def _given_loads(
+    goals: Goals, robots: Sequence[RobotVariant], names: Sequence[str], pause: float
+) -> dict[str, RealArray]:
+    """The largest loads of the given motion at an instant, (P, 2) or (P,), and what it adds to those of a cycle."""
+    motion = goals.given.once
     ends = motion.joints.evaluate([0.0, motion.duration], 0, "right")[0]
     response = ElasticResponse(
         robots[0].scene, [each.changes for each in robots], ends[0], GIVEN_STEPS, CompiledAtPoints
     )
     references = motion.joints.evaluate(response.fractions * motion.duration, 2, "left")
     torque = response.respond(np.hstack(list(references)), motion.duration).torque
-    holding = response.model.rest(ends[1]).torque
-    motors = optimal_control.MotorLoads(response.fractions, holding, goals.scene.trajectory.dwell)
-    found = motors.of_speeds(names, references[1], motion.duration, torque)
+    motors = optimal_control.MotorLoads(response.fractions, response.model.rest(ends[1]).torque, pause)
+    units = {name: optimal_control.OF_CYCLE.get(name, name) for name in names}
+    found = motors.of_speeds(units.values(), references[1], motion.duration, torque)
     return {
-        name: each if name in optimal_control.OF_MOTION else np.abs(each).max(axis=1) for name, each in found.items()
+        name: found[unit] if name in optimal_control.OF_CYCLE else np.abs(found[unit]).max(axis=1)
+        for name, unit in units.items()
     }
 
 

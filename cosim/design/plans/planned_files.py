@@ -25,9 +25,11 @@ from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, Curve, Marker, Panel
 from flexfmu.cosim.reports.comparison import ComparedRun, metrics_table, signal_plots
 from flexfmu.cosim.reports.page import WIDTH, Plot, Table, render_page
+from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import Coordinates
 from flexfmu.trajectories.table import write_table
+from flexfmu.trajectories.trajectory import Trajectory
 
 FILE = "planned.toml"
 """Usual name of the planned scene."""
@@ -54,7 +56,7 @@ def write_scene(result: PlanResult, path: Path) -> list[Path]:
 
     Args:
         result: the plan.
-        path: the scene file.
+        path: the scene file; those of the ways of a cycle have its name with -1, -2 and so on behind it.
 
     Returns:
         The written files.
@@ -63,7 +65,16 @@ def write_scene(result: PlanResult, path: Path) -> list[Path]:
         ResultsError: a file can't be written.
         TrajectoryError: the motion can't be written.
     """
-    scene, trajectory = result.scene, result.chosen.candidate.trajectory
+    chosen = result.chosen.candidate
+    if chosen.ways:
+        paths = [path.with_stem(f"{path.stem}-{number}") for number in range(1, len(chosen.ways) + 1)]
+        pairs = zip(chosen.ways, paths, strict=True)
+        return [each for way, there in pairs for each in _write_motion(result, way.scene, way.trajectory, there)]
+    return _write_motion(result, result.scene, chosen.trajectory, path)
+
+
+def _write_motion(result: PlanResult, scene: Scene, trajectory: Trajectory | None, path: Path) -> list[Path]:
+    """Write the scene of a single motion, or of one way of a cycle."""
     data = scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     data["name"] = f"{scene.name}-planned"
     if scene.effects.choice is not None and None in scene.effects.choice.error:
@@ -144,6 +155,7 @@ def summary(result: PlanResult) -> dict[str, Any]:
         "chosen": figures(result.chosen),
         "front": [figures(each) for each in result.front],
         "compared": [figures(each) for each in result.table if each not in result.front],
+        "ways": [[figures(each) for each in pair] for pair in result.ways],
         "verdict": result.verdict,
         "interrupted": result.interrupted,
         "failures": list(result.failures),
@@ -166,14 +178,23 @@ def plan_page(result: PlanResult) -> str:
     Raises:
         ResultsError: a run for the signals failed.
     """
-    runs = [each.candidate.prepared().run() for each in (result.given, result.chosen)]
-    compared = [
-        ComparedRun(name, run.recording, measure_run(run), run.plan.duration)
-        for name, run in zip(NAMES, runs, strict=True)
+    tables = [
+        summary_table(result),
+        *([ways_table(result)] if result.ways else []),
+        limits_table(result.chosen),
+        front_table(result),
     ]
-    tables = [summary_table(result), limits_table(result.chosen), front_table(result)]
     tables += [robustness_table(result)] if result.robustness else []
-    plots = [_front_plot(result), _path_plot(result.goals, runs), _references_plot(result, runs)]
+    plots = [_front_plot(result)]
+    every, compared = result.goals.ways or (result.goals,), list[ComparedRun]()
+    for number, (goals, pair) in enumerate(zip(every, result.ways or [(result.given, result.chosen)], strict=True), 1):
+        runs = [each.candidate.prepared().run() for each in pair]
+        way = f", way {number}" if result.ways else ""
+        compared += [
+            ComparedRun(f"{name}{way}", run.recording, measure_run(run), run.plan.duration)
+            for name, run in zip(NAMES, runs, strict=True)
+        ]
+        plots += [_path_plot(goals, runs, way), _references_plot(result, runs, way)]
     low, high = result.goals.band
     # what was planned, and whether it keeps to all limits
     chosen = result.chosen.candidate
@@ -207,6 +228,29 @@ def summary_table(result: PlanResult) -> Table:
     ]
     note = f"Worst of all robots within the bands; the motion may enter the keep-out region by {1e3 * result.goals.wishes.margin:g} mm."
     return Table("Planned motion", ["", *NAMES, "ratio"], rows, note)
+
+
+def ways_table(result: PlanResult) -> Table:
+    """What each way of a cycle needs, of the given and the chosen one."""
+    rows = []
+    for number, (goals, pair) in enumerate(zip(result.goals.ways, result.ways, strict=True), 1):
+        for name, each in zip(NAMES, pair, strict=True):
+            figures = (each.time, 1e6 * each.residual, each.torque, each.rms_torque, each.power, each.energy)
+            rows.append(
+                [f"{number}, {name}", f"{goals.scene.payload.mass:.4g}", *(f"{value:.4g}" for value in figures)]
+            )
+    header = [
+        "Way",
+        "Payload [kg]",
+        "Time [s]",
+        "Residual [µm]",
+        "Torque [N·m]",
+        "RMS [N·m]",
+        "Power [W]",
+        "Energy [J]",
+    ]
+    pauses = ", ".join(f"{goals.pause:g} s" for goals in result.goals.ways)
+    return Table("Ways of the cycle", header, rows, f"Each from rest; pauses after them: {pauses}.")
 
 
 def limits_table(found: Assessment) -> Table:
@@ -291,7 +335,7 @@ def _front_plot(result: PlanResult) -> Plot:
     return Plot("front", "Pareto front", caption, tuple(panels), "total time [s]", 330.0)
 
 
-def _path_plot(goals: Goals, runs: Sequence[Run]) -> Plot:
+def _path_plot(goals: Goals, runs: Sequence[Run], way: str = "") -> Plot:
     """The paths of the end effector, and what it keeps clear of."""
     paths = [np.column_stack([run.recording[f"end_effector.position.{axis}"].values for axis in "xy"]) for run in runs]
     curves = [
@@ -309,7 +353,7 @@ def _path_plot(goals: Goals, runs: Sequence[Run]) -> Plot:
     width, height = view[1] - view[0]
     caption = "With the scene's own payload; dotted: regions to stay out of and lines not to cross."
     size = BESIDES + (WIDTH - BESIDE) * float(height / width)
-    return Plot("path", "Path of the end effector", caption, (panel,), "x [m]", size)
+    return Plot(f"path{way[-1:]}", f"Path of the end effector{way}", caption, (panel,), "x [m]", size)
 
 
 def _view(points: RealArray, clearance: Clearance) -> RealArray:
@@ -330,7 +374,7 @@ def _within(outline: RealArray, view: RealArray) -> RealArray:
     return np.where(inside[:, None], points, np.nan)
 
 
-def _references_plot(result: PlanResult, runs: Sequence[Run]) -> Plot:
+def _references_plot(result: PlanResult, runs: Sequence[Run], way: str = "") -> Plot:
     """Speed, acceleration and jerk of the joint references, with their limits."""
     panels = list[Panel]()
     kinds = (("speed", "rad/s"), ("acceleration", "rad/s²"), ("jerk", "rad/s³"))
@@ -347,4 +391,4 @@ def _references_plot(result: PlanResult, runs: Sequence[Run]) -> Plot:
         level = float(result.goals.limit(name, usual)) if name in result.goals.limits else None
         panels.append(Panel(label=f"{name}\n[{unit}]", curves=curves, level=level))
     caption = "Both joints of both motions. Dashed: the limit, where it is near."
-    return Plot("planned-references", "Joint references", caption, tuple(panels), height=330.0)
+    return Plot(f"planned-references{way[-1:]}", f"Joint references{way}", caption, tuple(panels), height=330.0)

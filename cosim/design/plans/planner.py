@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
@@ -96,6 +97,13 @@ class PlanResult(Rows):
             lines.append(f"  {name}: {chosen[name]:.4g} {unit} (given {given[name]:.4g} {unit})")
         return "\n".join([*lines, f"  {self.verdict}"])
 
+    @cached_property
+    def ways(self) -> tuple[tuple[Assessment, Assessment], ...]:
+        """The given and the chosen motion of each way of a cycle, from rest; empty for a single motion."""
+        judge = Judge(self.goals, JUDGED)
+        pairs = (judge.of_ways(each.candidate, given=each is self.given) for each in (self.given, self.chosen))
+        return tuple(zip(*pairs, strict=True))
+
     @property
     def metrics(self) -> RunMetrics:
         """The figures of the chosen motion, the worst within the bands."""
@@ -108,8 +116,10 @@ class PlanResult(Rows):
         return scene if mass is None else scene.replace({"payload.mass": mass})
 
     def drive_table(self, rate: float, unit: str = "rad", counts: float | None = None) -> DriveTable:
-        """The chosen motion as a drive reads it; arguments and errors as for `flexfmu.cosim.design.plans.drive_table.drive_table`."""
-        return drive_table(self.chosen.candidate, rate, unit, counts)
+        """The chosen motion or cycle as a drive reads it; arguments and errors as for `flexfmu.cosim.design.plans.drive_table.drive_table`."""
+        return drive_table(
+            self.chosen.candidate, rate, unit, counts, pauses=[each.pause or 0.0 for each in self.goals.ways]
+        )
 
     @property
     def front(self) -> tuple[Assessment, ...]:
@@ -238,6 +248,13 @@ def plan_scene(
         raise InputError(f"unknown method {', '.join(unknown)}; choose from {', '.join(METHODS)}")
     work, clock = processor_time(), monotonic()
     goals = checked_goals(scene)
+    if goals.ways:
+        if candidates:
+            raise InputError(
+                "motions of your own are compared with single motions: leave out `plan.cycle`, or the motions"
+            )
+        # other methods and models are for single motions
+        methods, robust = [name for name in methods if name == "optimal"], False
     show("the given motion", None)
     PreparedScene(scene).check_size(companion=False)
     judge = Judge(goals, SCREENED, journal)

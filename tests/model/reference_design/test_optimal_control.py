@@ -17,10 +17,11 @@ from flexfmu.model.reference_design.optimal_control import (
     Aim,
     Effort,
     Improvement,
-    LimitRows,
     MotionLimits,
     MotorLoads,
     ResidualVibration,
+    Stage,
+    Way,
     optimal_motion,
 )
 from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
@@ -69,7 +70,9 @@ def limits(scene: Scene, variants: list[dict[str, float]], given: JointSpline) -
 def improvements(
     scene: Scene, variants: list[dict[str, float]], given: JointSpline, limits: MotionLimits
 ) -> list[Improvement]:
-    return list(optimal_motion([RobotVariant(scene, each) for each in variants], limits, given.with_duration(0.24)))
+    return list(
+        optimal_motion([Way([RobotVariant(scene, each) for each in variants], limits, given.with_duration(0.24))])
+    )
 
 
 def test_quadratic_programmes_without_curvature_have_the_solution_of_linear_ones() -> None:
@@ -90,34 +93,48 @@ def test_quadratic_programmes_find_the_nearest_point_of_a_half_space() -> None:
     np.testing.assert_allclose(x, wished - (normal @ wished - 5.0) / 25.0 * normal, atol=1e-6)
 
 
-def test_derivatives_of_the_limits_are_those_of_finite_differences(
+def test_derivatives_of_a_cycle_are_those_of_finite_differences(
     scene: Scene, variants: list[dict[str, float]], given: JointSpline, limits: MotionLimits
 ) -> None:
-    motion = given.with_duration(0.25)
-    elastic = ElasticResponse(scene, variants[::2], motion.coefficients[0], 32)
-    motors = MotorLoads(elastic.fractions, elastic.model.rest(motion.coefficients[-1]).torque, 0.2)
-    names = set(GROUPS[6:])
-    loads = {
-        name: np.full(shape, 0.9 * abs(each).max())
-        for name, each in motors.values(names, motion, elastic.of_spline(motion)).items()
-        for shape in [(2, 2) if "torque" in name or name == "power" else (2,)]
-    }
-    own = MotionLimits(limits.torque[::2], 20.0, 500.0, 4e4, 2e-6, above, loads, 0.2)
-    rows = LimitRows(own, motion.degree, motion.intervals, motors)
-    found = rows.rows(motion, elastic.of_spline(motion))
-    direction = 1e-6 * np.random.default_rng(0).standard_normal(2 * rows.free + 1)
+    """Limits at instants of both ways, loads of the whole cycle, and the vibration that goes on from way to way."""
+    empty, back = scene.replace({"payload.mass": 0.0}), replace(given, coefficients=given.coefficients[::-1])
+    robots = [[RobotVariant(scene, each) for each in variants[::2]], [RobotVariant(empty, {})]]
+    motions, loads = (
+        (given.with_duration(0.25), back.with_duration(0.2)),
+        {"power": 300.0, "supply_power": 300.0, "regenerated_power": 300.0},
+    )
+    ways = []
+    for few, motion, of_case in zip(robots, motions, ([0, 1], [0, 0]), strict=True):
+        shapes = {name: np.full((len(few), *((2,) if name == "power" else ())), value) for name, value in loads.items()}
+        own = MotionLimits(np.full((len(few), 2), 50.0), 20.0, 500.0, 4e4, 2e-6, above, shapes, 0.05)
+        ways.append(Way(few, own, motion, np.array(of_case)))
+    stage = Stage(ways, {"rms_torque": np.full((2, 2), 20.0), "energy": np.full(2, 40.0)}, 1, [0.2, 0.2])
+    state = stage.state(motions)
+    linear = stage.linear(state)
+    m = linear.loads_by.shape[1]
+    direction = 1e-6 * np.random.default_rng(0).standard_normal(m)
 
-    def moved(sign: int) -> RealArray:
-        coefficients = motion.coefficients.copy()
-        coefficients[4:-4] += sign * direction[:-1].reshape(2, -1).T
-        other = JointSpline(coefficients, motion.duration + sign * direction[-1])
-        return rows.values(other, elastic.of_spline(other, derivatives=False))[0]
+    def moved(sign: int) -> list[RealArray]:
+        changed = []
+        for way, motion in zip(stage.ways, motions, strict=True):
+            coefficients, own = motion.coefficients.copy(), sign * direction[way.columns]
+            coefficients[4:-4] += own[:-1].reshape(2, -1).T
+            changed.append(JointSpline(coefficients, motion.duration + own[-1]))
+        found = stage.state((changed[0], changed[1]), derivatives=False)
+        rows = [
+            way.rows.values(*pair)[0] for way, *pair in zip(stage.ways, found.motions, found.responses, strict=True)
+        ]
+        return [*rows, np.concatenate([each.ravel() for each in found.loads.values()]), *found.amplitudes]
 
-    difference, exact = 0.5 * (moved(1) - moved(-1)), found.jacobian @ direction
-    assert {GROUPS[k] for k in found.groups[found.values > 0.0]} >= names
+    differences = [0.5 * (ahead - behind) for ahead, behind in zip(moved(1), moved(-1), strict=True)]
+    exact = [each.jacobian @ direction[way.columns] for each, way in zip(linear.rows, stage.ways, strict=True)]
+    exact += [linear.loads_by @ direction, *(by @ direction for by in linear.amplitudes_by)]
+    names = {GROUPS[k] for rows in linear.rows for k in rows.groups[rows.values > 0.0]}
+    assert names >= {"torque", *loads}
     # signs of torques change at zero alone, where no limit is near
-    clear = found.values > -0.99
-    np.testing.assert_allclose(difference[clear], exact[clear], atol=2e-4 * abs(exact).max())
+    near = [each.values > -0.99 for each in linear.rows] + [np.ones(each.shape, dtype=bool) for each in exact[2:]]
+    for difference, by, clear in zip(differences, exact, near, strict=True):
+        np.testing.assert_allclose(difference[clear], by[clear], atol=2e-4 * abs(by).max())
 
 
 def test_residual_and_loads_of_the_motors_are_those_of_the_fmu(scene: Scene, given: JointSpline) -> None:
@@ -133,12 +150,11 @@ def test_residual_and_loads_of_the_motors_are_those_of_the_fmu(scene: Scene, giv
     residual = float(metrics["residual_vibration_amplitude"])
     assert 0.4 * bound[0] < residual < 1.02 * bound[0]
     motors = MotorLoads(elastic.fractions, vibration.holding, scene.trajectory.dwell)
-    found = motors.values(("torque", "power", "rms_torque", "energy"), motion, response)
+    found = motors.values(("torque", "power", "square_torque", "energy"), motion, response)
+    rms = np.sqrt(found["square_torque"][0] / (motion.duration + scene.trajectory.dwell))
     for joint in range(2):
         of_joint = [float(metrics[f"{name}_{joint + 1}"]) for name in ("peak_torque", "rms_torque")]
-        assert [abs(found["torque"][0, :, joint]).max(), found["rms_torque"][0, joint]] == pytest.approx(
-            of_joint, rel=2e-3
-        )
+        assert [abs(found["torque"][0, :, joint]).max(), rms[joint]] == pytest.approx(of_joint, rel=2e-3)
         powers = [float(metrics[f"{name}_{joint + 1}"]) for name in ("peak_power", "peak_regenerated_power")]
         assert [found["power"][..., joint].max(), -found["power"][..., joint].min()] == pytest.approx(powers, rel=2e-3)
     energy = sum(float(metrics[f"positive_energy_{joint}"]) for joint in (1, 2))
@@ -152,16 +168,16 @@ def test_the_fastest_motion_meets_its_limits_for_all_payloads_in_the_fmu(
     best = improvements[-1]
     assert [each.checked for each in improvements] == [False] * (len(improvements) - 1) + [True]
     assert best.residual < improvements[0].residual
-    assert best.motion.duration < 0.21
+    assert best.motions[0].duration < 0.21
     for mass, torque in zip(PAYLOADS, limits.torque, strict=True):
         run = flexfmu.run(
-            scene, trajectory=best.motion.trajectory(), tolerance=1e-8, parameters={"payload.mass": float(mass)}
+            scene, trajectory=best.motions[0].trajectory(), tolerance=1e-8, parameters={"payload.mass": float(mass)}
         )
         assert float(run.metrics["residual_vibration_amplitude"]) < 1.06 * limits.residual
         peaks = np.array([float(run.metrics[f"peak_torque_{joint}"]) for joint in (1, 2)])
         assert (peaks < 1.002 * torque).all()
         assert run.recording["end_effector.position.y"].values.min() > 0.27 - 2e-5
-    speeds, accelerations, jerks = abs(best.motion.evaluate(np.linspace(0.0, 1.0, 1001), 3)[1:]).max(axis=(1, 2))
+    speeds, accelerations, jerks = abs(best.motions[0].evaluate(np.linspace(0.0, 1.0, 1001), 3)[1:]).max(axis=(1, 2))
     assert (speeds, accelerations, jerks) < (20.002, 500.05, 40004.0)
 
 
@@ -178,13 +194,13 @@ def test_limited_references_give_the_fastest_motion_from_rest_to_rest(
 ) -> None:
     """T = 2 √(D / a), with a limited speed D / v + v / a, or (32 D / j)^(1/3); no spline is faster, one of 20 intervals is near."""
     limits = MotionLimits(np.full((1, 2), WIDE), speed, acceleration, jerk, 1e-6, free)
-    *_, last = optimal_motion([RobotVariant(rigid, {})], limits, given)
+    *_, last = optimal_motion([Way([RobotVariant(rigid, {})], limits, given)])
     way = abs(np.diff(given.coefficients[[0, -1]], axis=0)).max()
     fastest = (32 * way / jerk) ** (1 / 3)
     if jerk == WIDE:
         fastest = 2 * np.sqrt(way / acceleration) if speed == WIDE else way / speed + speed / acceleration
     assert last.checked
-    assert 0.999 * fastest <= last.motion.duration < 1.12 * fastest
+    assert 0.999 * fastest <= last.motions[0].duration < 1.12 * fastest
 
 
 @pytest.mark.parametrize("aim", ["torque", "rms_torque", "energy"])
@@ -201,7 +217,7 @@ def test_the_effort_has_its_derivatives_and_falls_in_the_given_duration(
     slope, curvature = effort.derivatives(given, response)
     assert slope[:-1] @ direction[4:-4].T.ravel() == pytest.approx(0.5 * (values[0] - values[1]), rel=1e-3)
     assert np.linalg.eigvalsh(curvature).min() > -1e-9 * abs(curvature).max()
-    *_, last = optimal_motion([RobotVariant(scene, each) for each in variants], limits, given, aim=aim)
+    *_, last = optimal_motion([Way([RobotVariant(scene, each) for each in variants], limits, given)], aim=aim)
     assert last.checked
-    assert last.motion.duration == given.duration
-    assert effort.value(last.motion, elastic.of_spline(last.motion, derivatives=False)) < 0.9
+    assert last.motions[0].duration == given.duration
+    assert effort.value(last.motions[0], elastic.of_spline(last.motions[0], derivatives=False)) < 0.9

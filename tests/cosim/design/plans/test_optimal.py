@@ -20,13 +20,14 @@ from flexfmu.cosim.design.plans import optimal as method
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, goals_of
 from flexfmu.cosim.design.plans.optimal import optimal
+from flexfmu.cosim.design.plans.planned_files import write_plan
 from flexfmu.cosim.design.plans.planner import PlanResult, plan_scene
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.many.journal import FILE, WorkJournal, about_scene
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
-from flexfmu.model.reference_design.joint_spline import JointSpline
-from flexfmu.model.reference_design.optimal_control import GROUPS, Improvement, MotionLimits
+from flexfmu.model.reference_design.optimal_control import GROUPS, Improvement, Way
 from flexfmu.model.scene.file import load_scene
+from flexfmu.model.statics import static_equilibrium
 
 SCENE = load_scene("barnard2012-6kg").replace(
     {
@@ -96,14 +97,13 @@ def test_what_the_fmu_finds_beyond_a_limit_is_taken_off_it(
     goals = goals_of(SCENE.replace(wishes))
     variants = [each.changes(goals.scene) for each in goals.variations(3)]
 
-    def optimistic(
-        robots: object, limits: MotionLimits, start: JointSpline, *_: object, **__: object
-    ) -> Iterator[Improvement]:
+    def optimistic(ways: list[Way], *_: object, **__: object) -> Iterator[Improvement]:
+        start, limits = ways[0].start, ways[0].limits
         response = ElasticResponse(goals.scene, variants, start.coefficients[0], 60)
         for duration in np.arange(0.3, 1.2, 0.03):
             torque = response.of_spline(motion := start.with_duration(float(duration)), derivatives=False).torque
             if (np.abs(torque).max(axis=1) < 1.2 * limits.torque[[0, 1, 2]]).all():
-                yield Improvement(motion, dict.fromkeys(GROUPS, 0.0), 0.0, checked=True)
+                yield Improvement((motion,), dict.fromkeys(GROUPS, 0.0), 0.0, checked=True)
                 return
 
     monkeypatch.setattr(method.optimal_control, "optimal_motion", optimistic)
@@ -113,6 +113,78 @@ def test_what_the_fmu_finds_beyond_a_limit_is_taken_off_it(
     assert not found[0].feasible
     assert found[-1].feasible
     assert found[0].time < found[-1].time
+
+
+CYCLE = SCENE.replace(
+    {"plan.minimise": "time", "plan.duration": None, "plan.limits": {}, "plan.cycle": {"pause": 0.05}}
+)
+
+
+@pytest.mark.slow
+def test_what_a_way_leaves_swings_on_in_the_next_as_in_the_fmu() -> None:
+    """The bound holds for the last of three cycles, which the FMU runs in one go, and isn't that of ways from rest."""
+    little = {"effects.damping": {"kind": "modal", "ratio": 0.02}, "trajectory.dwell": 0.3}
+    scene = CYCLE.replace(little | {"plan.cycle": {"return_payload": 6.0, "pause": 0.05}})
+    judge = Judge(goals_of(scene), 1)
+    found, alone = judge.given, judge.of_ways(judge.given.candidate, given=True)
+    cycles = {"trajectory.way_back": "same-path", "trajectory.cycles": 3, "trajectory.pause": 0.05}
+    run = flexfmu.run(scene.replace(cycles | {"plan.cycle": None}), tolerance=1e-8)
+    time, recording = run.recording.time, run.recording
+    points = np.column_stack([recording[f"end_effector.position.{axis}"].values for axis in "xy"])
+    end = judge.goals.given.once.joints.evaluate([0.43], 0, "left")[0, 0]
+    swings = []
+    for k, rest in ((4, static_equilibrium(scene, end).position), (5, points[0])):
+        resting = (time >= 0.48 * k + 0.43) & (time <= 0.48 * (k + 1))
+        swings.append(np.hypot(*(points[resting] - rest).T).max())
+    assert max(each.residual for each in alone) < max(swings) < found.residual < 1.5 * max(swings)
+
+
+@pytest.mark.slow
+def test_both_ways_of_a_cycle_keep_its_limits_in_the_fmu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An empty return: RMS torques over the cycle and its pauses are those of the given one, both ways run from their files, and a drive reads both."""
+    monkeypatch.setattr(method, "INTERVALS", 20)
+    monkeypatch.setattr(method, "fuller_scene", lambda scene: None)
+    result = plan_scene(CYCLE)
+    assert not result.missed
+    assert result.chosen.time < 0.85 * result.given.time
+    write_plan(result, tmp_path)
+    squares, time = np.zeros((2, 2)), np.zeros(2)
+    for way, pair in enumerate(result.ways):
+        for k, each in enumerate(pair):
+            scene = load_scene(tmp_path / f"planned-{way + 1}.toml") if k else each.candidate.scene
+            run = flexfmu.run(scene, **({} if k else {"trajectory": each.candidate.trajectory}), tolerance=1e-8)
+            assert scene.payload.mass == 6.0 * (1 - way)
+            assert float(run.metrics["residual_vibration_amplitude"]) == pytest.approx(
+                each.residual, rel=1e-3, abs=1e-10
+            )
+            holding = np.array([run.recording[f"joint{joint}.torque"].values[-1] for joint in (1, 2)])
+            rms = np.array([float(run.metrics[f"rms_torque_{joint}"]) for joint in (1, 2)])
+            length, dwell = each.time, scene.trajectory.dwell
+            squares[k] += rms**2 * (length + dwell) + holding**2 * (0.05 - dwell)
+            time[k] += length + 0.05
+    found = np.sqrt(squares / time[:, np.newaxis])
+    assert found[1] == pytest.approx(result.chosen.peaks[0].rms_torque, rel=1e-4)
+    assert (found[1] < 1.0001 * found[0]).all()
+    assert time == pytest.approx([result.given.time, result.chosen.time])
+    table = result.drive_table(4000.0)
+    assert 4000.0 * result.chosen.time - 1.0 < len(table.torque) < 4000.0 * result.chosen.time + 2.0
+    assert np.abs(np.diff(table.values[0], axis=0)).max() < 1e-3 * np.ptp(table.values[0]) + 0.01
+    assert table.values[0, -1] == pytest.approx(table.values[0, 0], abs=1e-9)
+
+
+def test_a_cycle_goes_to_its_targets_and_back() -> None:
+    """Paths to the left are those to the right, reversed; a cycle that stays somewhere is refused."""
+    targets = [{"position": [0.05, 0.35], "payload": 3.0, "pause": 0.2}]
+    goals = goals_of(CYCLE.replace({"plan.cycle.targets": targets}))
+    ends = [(way.trace[0], way.trace[-1]) for way in goals.ways]
+    assert np.allclose(
+        ends,
+        [((-0.175, 0.32), (0.175, 0.32)), ((0.175, 0.32), (0.05, 0.35)), ((0.05, 0.35), (-0.175, 0.32))],
+        atol=1e-6,
+    )
+    assert [(way.scene.payload.mass, way.pause) for way in goals.ways] == [(6.0, 0.05), (3.0, 0.2), (0.0, 0.05)]
+    with pytest.raises(InputError, match="stays at"):
+        goals_of(CYCLE.replace({"plan.cycle.targets": [{"position": [-0.175, 0.32], "payload": 0.0}]}))
 
 
 SHORT = load_scene("barnard2012-6kg").replace(
