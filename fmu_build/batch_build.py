@@ -68,7 +68,8 @@ def _generated_code(fmu: Path) -> dict[str, str]:
             texts = {name.removeprefix("sources/"): archive.read(name).decode() for name in names}
     except (ArchiveError, *DAMAGED) as error:
         raise BuildError(f"can't read the sources of {fmu}: {error}") from error
-    return {name: text for name, text in texts.items() if name not in runtime_sources()}
+    runtime = runtime_sources()
+    return {name: text for name, text in texts.items() if name not in runtime}
 
 
 def _compiled(name: str, generated: dict[str, str], runtime: dict[str, str], flags: tuple[str, ...]) -> Path:

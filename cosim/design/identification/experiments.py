@@ -22,6 +22,7 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.reports.page import Table
+from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.scene.schema import Scene
@@ -169,6 +170,7 @@ class ProposedMotions(Rows):
         return figure
 
 
+@one_blas_thread()
 def propose_motions(
     scene: Scene,
     parameters: Sequence[FreeParameter],

@@ -150,7 +150,7 @@ def independence(white: RealArray, inputs: RealArray, taken: int) -> float:
     from scipy.special import fdtrc
 
     columns = inputs / np.maximum(np.linalg.norm(inputs, axis=0), np.finfo(float).tiny)
-    solution, _, rank, _ = lstsq(columns, white, cond=1e-8)
+    solution, _, rank, _ = lstsq(columns, white, cond=1e-8, lapack_driver="gelsy")
     explained, total = float((columns @ solution) @ white), float(white @ white)
     left = white.size - taken - rank
     if rank == 0 or left < 1 or total - explained <= 0.0:

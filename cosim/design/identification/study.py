@@ -49,6 +49,7 @@ from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.parameters import scene_values, scene_with_parameters
 from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.keys import parse_setting, split_values
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
@@ -198,6 +199,7 @@ def _free_texts(free: Free) -> list[str]:
     ]
 
 
+@one_blas_thread()
 def identify_scene(
     scene: Scene,
     logs: Sequence[LogSource],
@@ -315,6 +317,7 @@ def _of_variable(parameter: FreeParameter, variable: Any) -> FreeParameter:
     return replace(parameter, unit=variable.unit or "1", start=start, low=low, high=high)
 
 
+@one_blas_thread()
 def identify_fmu(
     path: Path,
     logs: Sequence[LogSource],

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
-from scipy.io import loadmat, savemat
 
 from flexfmu.cosim.design.margins.loci import loop_figures, margins_with_errors, refined
 from flexfmu.cosim.design.margins.margins import LoopMargins
@@ -162,6 +161,8 @@ class FrequencyResponse(Rows):
         }  # fmt: skip
         with replacing(path) as file:
             if path.suffix.lower() == ".mat":
+                from scipy.io import savemat
+
                 savemat(file, {name: each for name, each in arrays.items() if each is not None}, appendmat=False)
             else:
                 note = "" if self.sample_time is None else f"# sample time {self.sample_time!r} s\n"
@@ -366,6 +367,8 @@ def _factor(path: Path, name: str, unit: str, known: Mapping[str, float]) -> flo
 def _from_mat(path: Path) -> dict[str, Any]:
     """The arguments of a response from a .mat file."""
     try:
+        from scipy.io import loadmat
+
         content: dict[str, Any] = loadmat(path, appendmat=False)
     except (OSError, NotImplementedError, ValueError, TypeError) as error:
         raise SignalFileError(f"can't read {path}: {error}; MATLAB saves what can be read with -v7") from error
