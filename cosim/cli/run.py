@@ -31,6 +31,7 @@ def run(
     sandbox: bool = False,
     verify: bool | None = None,
     report: bool | None = None,
+    live: bool = False,
     record: list[str] | None = None,
     record_step: float | None = None,
     record_order: Annotated[int | None, typer.Option(min=0, max=2)] = None,
@@ -57,6 +58,8 @@ def run(
             scene says, or where other tools' FMUs or Python slaves take part.
         verify: Verify the errors of the metrics by a second companion run. Default: take them from one.
         report: Draw report.html. Default: draw it, but with --json don't.
+        live: Let report.html simulate: sliders change payload, stiffness, gains and more, and everything is drawn anew. It needs ziglang.
+            Default: report.html shows the run alone.
         record (SIGNAL): Record this signal alone; may be repeated. Default: what the scene says, or all.
         record_step (SECONDS): Interval of the recorded instants. Default: what the scene says, or every communication point.
         record_order (N): Number of recorded derivatives. Default: what the scene says, or 2.
@@ -74,7 +77,7 @@ def run(
     is_ssp = scene.lower().endswith(".ssp") or (os.path.isfile(scene) and is_zipfile(scene))
     recorded = bool(record) or record_step is not None or record_order is not None
     wrong = {
-        "--report goes with a scene; an SSP file has no report": is_ssp and report,
+        "--report and --live go with a scene; an SSP file has no report": is_ssp and (report or live),
         "--record, --record-step and --record-order go with a scene": is_ssp and recorded,
         f"--set {(settings or [''])[0]} goes with a scene; parameters of an SSP file are in the file": is_ssp
         and settings,
@@ -101,11 +104,11 @@ def run(
     if is_ssp:
         return _run_ssp(Path(scene), out, (stop_time, step, ssd, output_order), isolate, chosen, json)
     options: RunOptions = {"communication_step": step, "isolate": isolate, "accept_size": yes}
-    has_report = not json if report is None else report
+    reports = live or (not json if report is None else report), live
     companions = 1 if verify is None else 2 * verify
     recording = record, record_step, record_order
     return _run_scene(
-        scene, out, options, recording, companions, has_report, chosen, settings, json, (accuracy or (), output)
+        scene, out, options, recording, companions, reports, chosen, settings, json, (accuracy or (), output)
     )
 
 
@@ -115,7 +118,7 @@ def _run_scene(
     options: RunOptions,
     recorded: tuple[list[str] | None, float | None, int | None],
     companions: int,
-    has_report: bool,
+    reports: tuple[bool, bool],
     formats: Sequence[str],
     changes: Sequence[str] | None,
     as_json: bool,
@@ -124,7 +127,7 @@ def _run_scene(
     """Simulate a scene, write, print; the exit status. What was recorded before a failure is written too.
 
     ``recorded`` are names, interval [s] and derivatives of the recorded signals, None for the scene's keys; errors are taken from
-    ``companions`` more precise runs. ``wanted`` is the accuracy of the command line, and where the scene with the chosen settings goes.
+    ``companions`` more precise runs. ``reports`` says whether there is a report, and whether it simulates. ``wanted`` is the accuracy of the command line, and where the scene with the chosen settings goes.
     """
     from flexfmu.cosim.engine.formats import check_format
     from flexfmu.cosim.engine.results import EVERYTHING, Selection
@@ -139,7 +142,11 @@ def _run_scene(
     # formats and folder come first: no run is lost because it can't be written
     for name in formats:
         check_format(name)
-    asked, target = wanted
+    (asked, target), (has_report, live) = wanted, reports
+    if live:
+        from flexfmu.fmu_build.toolchain import WASM, find_compiler
+
+        find_compiler(WASM)
     console.check_scene_file(target)
     scene, answer = console.load_changed(source, changes), None
     if asked:
@@ -207,12 +214,18 @@ def _run_scene(
         folder.write("summary.json", to_json(summary))
         files.append("summary.json")
         if has_report and is_whole:
-            from flexfmu.cosim.reports.plots import draw_plots
-            from flexfmu.cosim.reports.report import render_report
-
             show("drawing the report", None)
             rest = settings.end_equilibrium if settings is not None and settings.dwell else None
-            folder.write("report.html", render_report(summary, draw_plots(run, rest)))
+            if live:
+                from flexfmu.cosim.exchange.live import report_page
+
+                page = report_page(run, summary, rest)
+            else:
+                from flexfmu.cosim.reports.plots import draw_plots
+                from flexfmu.cosim.reports.report import render_report
+
+                page = render_report(summary, draw_plots(run, rest))
+            folder.write("report.html", page)
             files.append("report.html")
         else:
             folder.remove("report.html")

@@ -23,6 +23,7 @@ from flexfmu.fmu_build.toolchain import COMMON_FLAGS, RUNTIME_FLAGS, SOLVER_FOLD
 LIBRARIES = {
     "master": ("flexfmu.cosim.engine.master", "c-master"),
     "metrics": ("flexfmu.cosim.metrics", "c-metrics"),
+    "live": ("flexfmu.cosim.exchange", "c-live"),
     "exchange": ("flexfmu.fmu_build", *(f"c-runtime/{each}" for each in (*SOLVER_FOLDERS, "import"))),
 }
 """Package of each library, and the folders of its C files there; the last one has the header of what it exports."""

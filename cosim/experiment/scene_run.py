@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flexfmu.cosim.engine.errors import CosimError, ResultsError
+from flexfmu.cosim.engine.files import write_whole
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.variables import parameter_names
@@ -118,6 +119,7 @@ class Run:
         measure: function from a run, a number of companions and names to its metrics, `flexfmu.measure_run`; None for a run
             that is only recorded.
         accuracy: how the settings were chosen for the accuracy that was asked for; None where none was.
+        page: function from a run to its page that simulates, `flexfmu.cosim.exchange.live.live_page`; None for a run without one.
     """
 
     plan: MotionPlan
@@ -139,6 +141,7 @@ class Run:
         default=None, repr=False, compare=False
     )
     accuracy: AccuracyAnswer | None = field(default=None, repr=False, compare=False)
+    page: Callable[[Run], str] | None = field(default=None, repr=False, compare=False)
 
     @property
     def scene(self) -> Scene:
@@ -182,6 +185,26 @@ class Run:
         """Write the recorded signals as .csv, .parquet, .mat or .mcap; see `flexfmu.cosim.engine.results.Recording.write`."""
         return self.recording.write(path, self.about)
 
+    def live_report(self, path: str | os.PathLike[str]) -> Path:
+        """Write the report with the system inside: its sliders change payload, stiffness, gains and more, and the page simulates.
+
+        Raises:
+            ResultsError: the run has no page, or the file can't be written.
+            MissingCompilerError: there is no ziglang, which compiles the run for the page.
+        """
+        write_whole(target := Path(path), self.live().html)
+        return target
+
+    def live(self) -> LivePage:
+        """The same report for a notebook, which shows it.
+
+        Raises:
+            ResultsError, MissingCompilerError: as for `live_report`.
+        """
+        if self.page is None:
+            raise ResultsError("this run has no page of its own: take flexfmu.cosim.exchange.live.live_page(run)")
+        return LivePage(self.page(self))
+
     @property
     def about(self) -> Mapping[str, str]:
         """Scene and outcome, for the metadata of files."""
@@ -210,6 +233,29 @@ class Run:
         facts = "<br>".join(escape(line.strip()) for line in lines)
         parts = [each._repr_html_() for each in (self.accuracy, self.metrics, self.recording) if each is not None]
         return f"<p><b>{escape(head)}</b><br>{facts}</p>{''.join(parts)}"
+
+
+PAGE_HEIGHT = 720
+"""Height of a page within a notebook [px]."""
+
+
+@dataclass(frozen=True)
+class LivePage:
+    """A page that simulates; notebooks show it in a frame.
+
+    Attributes:
+        html: the page.
+    """
+
+    html: str = field(repr=False)
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        style = f"width: 100%; height: {PAGE_HEIGHT}px; border: 0"
+        return (
+            f'<iframe title="simulation" sandbox="allow-scripts" style="{style}" srcdoc="{escape(self.html)}"></iframe>'
+        )
 
 
 class RestPositions:

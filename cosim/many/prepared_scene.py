@@ -310,6 +310,17 @@ class PreparedScene:
         return motion.stop_time if motion.stop_time - motion.duration > COINCIDENT * self._step else motion.duration
 
     @property
+    def parts(self) -> SceneSystem:
+        """The slaves and their connections."""
+        return self._parts
+
+    @property
+    def simulator(self) -> Simulator:
+        """What simulates; there must have been a run."""
+        assert self._simulator is not None
+        return self._simulator
+
+    @property
     def stop_time(self) -> float:
         """End of the simulation [s]; by default the end of motion and dwell."""
         return self._stop_time

@@ -10,7 +10,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from flexfmu.cosim.reports.chart import Panel, draw_chart
+from flexfmu.cosim.reports.chart import MOST_POINTS, Panel, draw_chart
 
 WIDTH, HEIGHT = 374.4, 194.4
 """Usual size of plots [pt]."""
@@ -26,6 +26,7 @@ class Plot:
         panels: pairs of axes below each other.
         x_label: label of the horizontal axis.
         height: of the plot [pt].
+        points: largest number of points of a curve.
     """
 
     key: str
@@ -34,11 +35,12 @@ class Plot:
     panels: tuple[Panel, ...]
     x_label: str = "time [s]"
     height: float = HEIGHT
+    points: int = MOST_POINTS
 
     @property
-    def svg(self) -> str:
-        """The plot as an SVG element."""
-        return draw_chart(self.key, self.title, (WIDTH, self.height), self.x_label, self.panels)
+    def html(self) -> str:
+        """The plot as an element of a page."""
+        return draw_chart(self.key, self.title, (WIDTH, self.height), self.x_label, self.panels, self.points)
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,13 @@ def render_page(title: str, lead: str, plots: Sequence[Plot] = (), tables: Seque
 
 def render(template: str, **values: Any) -> str:
     """Return a page by one of the templates, all values as text."""
-    parts: Mapping[str, str] = {"style": _text("page.css"), "script": _text("page.js")}
+    library = _text("uPlot.iife.min.js", "uplot")
+    parts: Mapping[str, str] = {
+        "style": _text("uPlot.min.css", "uplot") + _text("page.css"),
+        "script": library + _text("page.js"),
+        "simulation": _text("simulation.js"),
+        "live_script": _text("live.js"),
+    }
     return _environment().get_template(template).render(**parts, **values)
 
 
@@ -85,5 +93,5 @@ def _environment() -> Environment:
 
 
 @cache
-def _text(name: str) -> str:
-    return files("flexfmu.cosim.reports").joinpath("templates", name).read_text(encoding="utf-8")
+def _text(name: str, folder: str = "templates") -> str:
+    return files("flexfmu.cosim.reports").joinpath(folder, name).read_text(encoding="utf-8")

@@ -11,11 +11,11 @@ links bend about the straight line from elbow to end effector, the end effector 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import floor, log10
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,9 @@ from flexfmu.trajectories.curves import Point
 
 FRAMES, DURATION = 401, 6.0
 """Largest number of instants of the animation, and how long it lasts [s]."""
+
+FEW_FRAMES = 41
+"""The same in a page that simulates, which has more from its own run."""
 
 LONGEST = 1.2
 """Time before the end of a run that is shown [s]: of several cycles the last, in enough instants for its vibration."""
@@ -99,22 +102,21 @@ class BentRobot:
         drawn = np.clip(self.rigid + self.magnification * np.nan_to_num(self.deviation), low, high)
         return np.stack([drawn.min(axis=(0, 1)), drawn.max(axis=(0, 1))])
 
-    def data(self) -> dict[str, str]:
-        """Return what the page's script animates, as attributes of a panel."""
+    def data(self) -> dict[str, Any]:
+        """Return what the page's script animates."""
         styles = [("ink", 3.2), ("first", 2.2)] * 2
         chains = [
             {"points": points, "colour": colour, "width": width}
             for points, (colour, width) in zip(self.links, styles, strict=True)
         ]
-        span = float(self.time[-1] - self.time[0])
-        motion = {
+        return {
             "count": self.rigid.shape[1],
             "instants": self.time.size,
             "chains": chains,
             "magnification": self.magnification,
-            "slower": max(1.0, round(DURATION / span, 1)),
+            "slower": max(1.0, round(DURATION / float(self.time[-1] - self.time[0]), 1)),
+            "points": packed(self.time, self.rigid, self.deviation),
         }
-        return {"motion": json.dumps(motion), "points": packed(self.time, self.rigid, self.deviation)}
 
 
 def bent_robot(run: Run, most: int = FRAMES) -> BentRobot:
@@ -247,7 +249,7 @@ def scene_panel(plan: MotionPlan, robot: BentRobot | None = None) -> Panel:
         markers=markers,
         is_to_scale=True,
         is_function=False,
-        data={} if robot is None else robot.data(),
+        motion=None if robot is None else robot.data(),
     )
 
 
@@ -276,12 +278,13 @@ COLOURS = (FIRST, SECOND)
 """Of the curves of joints and links 1 and 2."""
 
 
-def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
+def draw_plots(run: Run, end_equilibrium: RealArray | None, frames: int = FRAMES) -> Iterator[Plot]:
     """Yield the plots for which the run has the signals, the scene first.
 
     Args:
         run: a run, complete or not.
         end_equilibrium: (2,) end effector in static equilibrium at the end pose [m]; None if unknown, which omits the dwell.
+        frames: largest number of instants of the animation.
     """
     if run.accuracy is not None:
         yield from tried_settings(run.accuracy, run.plan.stop_time)
@@ -290,7 +293,7 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
     if np.count_nonzero(np.diff(run.recording.time) > 0.0) == 0:
         yield _to_scale("scene", "Scene", caption, scene_panel(run.plan))
         return
-    robot = bent_robot(run)
+    robot = bent_robot(run, frames)
     caption += " With scripts it moves, its deviation from the rigid robot magnified."
     yield _to_scale("scene", "Scene", caption, scene_panel(run.plan, robot))
     last = f" in the last {LONGEST:g} s" if np.ptp(run.recording.time) > LONGEST else ""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, display, display_error
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, display_error
 from flexfmu.cosim.reports.page import Plot, render
 from flexfmu.cosim.reports.summary import motor_rows, stress_rows, title_of
 from flexfmu.cosim.reports.work_precision import ACCURACY
@@ -23,14 +25,28 @@ TILES = (
 """Metrics shown at the top of the report."""
 
 
-def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
+FIRST_PLOTS = ("scene", "motion")
+"""Plots beside the sliders."""
+
+FEW_POINTS = 300
+"""Points of a curve in a page that simulates."""
+
+OPEN = ("Motors", "Stress of the links", "Learning")
+"""Tables that aren't folded away."""
+
+
+def render_report(summary: Mapping[str, Any], plots: Iterable[Plot], live: str = "", reason: str = "") -> str:
     """Return the report as HTML.
 
     Args:
         summary: summary of the run by `flexfmu.cosim.reports.summary.summarise`.
         plots: plots of the run by `flexfmu.cosim.reports.plots.draw_plots`.
+        live: the run as a module, `flexfmu.cosim.exchange.live.LiveRun.packed`; empty for a page that doesn't simulate.
+        reason: why it doesn't, where that was asked for.
     """
-    health, metrics, errors, drawn = summary["health"], summary["metrics"], summary["errors"], list(plots)
+    health, metrics, errors = summary["health"], summary["metrics"], summary["errors"]
+    # a page that simulates draws its curves from its own run
+    drawn = [replace(plot, points=FEW_POINTS) if live else plot for plot in plots]
     return render(
         "report.html.j2",
         title=title_of(summary),
@@ -47,9 +63,13 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
             for warning in health["warnings"]
             if "accuracy" not in summary  # of other figures, which may be coarser
         ],
-        tiles=[
-            {"label": ALL_METRICS[name].label, "value": display(name, metrics[name], 5, errors[name])} for name in TILES
-        ],
+        verdict=_verdict(summary, drawn),
+        tiles=[_tile(name, summary) for name in TILES],
+        live=live,
+        reason=reason,
+        blocks=" and its controllers" if len(summary["slaves"]) > 2 else "",
+        open=OPEN,
+        first_plots=[plot for plot in drawn if plot.key in FIRST_PLOTS],
         metrics=[
             {
                 "label": ALL_METRICS[name].label,
@@ -62,11 +82,56 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
         ],
         accuracy=summary.get("accuracy"),
         accuracy_plots=[plot for plot in drawn if plot.key.startswith(ACCURACY)],
-        plots=[plot for plot in drawn if not plot.key.startswith(ACCURACY)],
+        plots=[plot for plot in drawn if not plot.key.startswith((ACCURACY, *FIRST_PLOTS))],
         parameters=_scene_rows(summary["scene"]),
         tables=_tables(summary),
         versions=summary["versions"],
     )
+
+
+def _tile(name: str, summary: Mapping[str, Any]) -> dict[str, str]:
+    """One of the six figures, with its limit where the scene has one."""
+    value, info = summary["metrics"][name], definition(name)
+    text, band = display(name, value, 4, summary["errors"][name]), summary["scene"]["cosimulation"]["settling_band"]
+    limit = f", settled within {display(name, band, 4)}" if name == "residual_vibration_amplitude" else ""
+    shown = {"factor": info.displayed(1.0), "unit": info.display_unit, "text": text}
+    return {"name": name, "label": info.label, "value": text, "limit": limit, "shown": json.dumps(shown)}
+
+
+def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
+    """One sentence: how the run ended, its worst figure against a limit, what rings, and what bends."""
+    if summary["health"]["outcome"] != "completed":
+        return f"The run ended at {summary['health']['end_time'] or 0.0:g} s."
+    metrics, band = summary["metrics"], summary["scene"]["cosimulation"]["settling_band"]
+    residual, settling, parts = metrics["residual_vibration_amplitude"], metrics["settling_time"], list[str]()
+    if residual is not None:
+        settled = (
+            "does not settle"
+            if settling is None
+            else f"settles {display('settling_time', settling, 3)} after the motion"
+        )
+        ratio = f"{residual / band:.3g} times the settling band" if residual > band else "within the settling band"
+        parts.append(
+            f"The robot {settled}, with a residual vibration of {display('residual_vibration_amplitude', residual, 3)}, {ratio}"
+        )
+        panel = next((plot.panels[0] for plot in plots if plot.key == "spectrum"), None)
+        if panel is not None and panel.markers and residual > 0.0:
+            peak = panel.markers[0]
+            near = min(panel.marks, key=lambda mark: abs(mark[0] - peak.x), default=None)
+            mode = f", natural frequency {near[1]}" if near is not None and abs(near[0] - peak.x) < 0.1 * peak.x else ""
+            parts[-1] += f", mostly at {peak.text}{mode}"
+    error, bending = metrics["peak_position_error"], metrics["peak_tip_deflection_1"]
+    if error is not None:
+        parts.append(f"it leaves its path by up to {display('peak_position_error', error, 3)}")
+        parts[-1] += f", while link 1 bends by {display('peak_tip_deflection_1', bending, 3)}" if bending else ""
+    uses = [
+        (each["use"], each["name"], motor["joint"]) for motor in summary.get("motors", ()) for each in motor["margins"]
+    ]
+    if uses:
+        use, name, joint = max(uses)
+        parts.append(f"motor {joint} needs {100.0 * use:.3g} % of its {name}")
+    sentence = "; ".join(parts)
+    return f"{sentence[:1].upper()}{sentence[1:]}."
 
 
 def _tables(summary: Mapping[str, Any]) -> dict[str, dict[str, str]]:

@@ -117,7 +117,7 @@ def run(
         ends there, the outcome gives the reason, and a `RunWarning` says so; Ctrl-C ends a script, and in an interactive session
         gives the run until then. A control loop that is unstable, or nearly, is named in
         ``run.health.messages`` and by a `LoopWarning`; the messages also name encoders that are too coarse for the gains.
-        ``run.metrics.peak_torque_1`` is a metric, ``run.to_pandas()`` a data frame.
+        ``run.metrics.peak_torque_1`` is a metric, ``run.to_pandas()`` a data frame, ``run.live()`` a page that simulates.
 
     Raises:
         SceneError: the scene doesn't exist, or one of its keys or values is invalid.
@@ -162,7 +162,7 @@ def run(
         options["fmu_path"] = Path(fmu)
     ready, answer = resolved_with_answer(robot) if loop is None else (loop.motion.scene, None)
     found = run_scene(ready, loop=loop, **options)
-    found = found if answer is None else replace(found, accuracy=answer)
+    found = replace(found, accuracy=answer, page=_live_page)
     if found.outcome is Outcome.INTERRUPTED and not hasattr(sys, "ps1"):
         raise KeyboardInterrupt(found.message)
     if found.outcome.is_failure and found.outcome is not Outcome.LOOP_UNSTABLE:  # of which `run_scene` has warned
@@ -175,6 +175,12 @@ def run(
     if (unstable := told["stability"]) is not None:
         warnings.warn(unstable, LoopWarning, stacklevel=2)
     return replace(found, health=replace(found.health, messages=(*found.health.messages, *filter(None, told.values()))))
+
+
+def _live_page(run: Run) -> str:
+    from flexfmu.cosim.exchange.live import live_page  # which few runs need
+
+    return live_page(run)
 
 
 def compare(

@@ -9,7 +9,7 @@ import casadi
 import numpy as np
 
 from flexfmu.cosim.control.blocks.code import block_function, bound, evaluation
-from flexfmu.cosim.engine.binding import Copy, Phase, Reevaluation, SampleCall, Take, is_range
+from flexfmu.cosim.engine.binding import Copy, Evaluation, Phase, Reevaluation, SampleCall, Take, is_range
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray, SlaveVariable
 from flexfmu.fmu_build.block_build import check_block
@@ -169,6 +169,28 @@ class BlockSlave(SampledMemory):
         see = (Copy(inputs, self._seen, np.arange(count)),) if count else ()
         again = (Reevaluation(found, inputs, self._seen),) if count else ()
         return {"sample": (found, move), "output": (found, *see), "update": (*again, move)}[phase]
+
+    def reset(self) -> None:
+        """Set start values of inputs and states, and zero elsewhere but for parameters."""
+        self.terminate()
+        self._memory[self._known :] = self._seen[:] = 0.0
+        self._states[:] = self.block.states
+
+    def initial_call(self) -> Evaluation | None:
+        """The evaluation of the outputs at initialisation; None if C can't evaluate the block."""
+        return evaluation(self._function, self._output)
+
+    def buffers(self, call: Evaluation) -> tuple[RealArray | None, ...]:
+        """x, u, p, y and next x of an evaluation of this slave; None where it writes nothing."""
+        inputs, parameters, outputs, _ = np.split(self._memory, [self._inputs, self._known, len(self.variables)])
+        mine = (
+            (each, found)
+            for each in ("_sample", "_output", "_update")
+            if (found := evaluation(self._function, getattr(self, each))) is not None
+        )
+        kind = next(name for name, found in mine if found.argument.value == call.argument.value)
+        has_output, has_update = kind != "_update", kind != "_output"
+        return self._states, inputs, parameters, outputs if has_output else None, self._next if has_update else None
 
     def bind_set(self, indices: Indices, values: RealArray) -> Call:
         """Return a call that sets inputs from ``values`` (n,).

@@ -338,6 +338,21 @@ class Simulator:
         self._terminating = [(i, slave) for i, slave in enumerate(system.slaves) if isinstance(slave, Terminates)]
         self._delays: dict[float, tuple[SignalDelay, ...]] = {}
 
+    @property
+    def schedule(self) -> Schedule:
+        """Ports and order of calls."""
+        return self._schedule
+
+    @property
+    def recorder(self) -> Recorder:
+        """Records every instant."""
+        return self._recorder
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the loop over the points is the one in C, in this process."""
+        return self._compiled is not None and self._isolation is None
+
     def move_to(self, stop: float) -> None:
         """Run to ``stop`` [s] from now on, over the present breakpoints of the slaves; no slave may be sampled.
 

@@ -1,302 +1,340 @@
 "use strict";
-// Charts that zoom and show values, and the moving mechanism; a chart's data stands in its own attributes (see chart.py).
-(() => {
-  const SVG = "http://www.w3.org/2000/svg", MOST = 9, STEPS = [1, 2, 2.5, 5, 10];
-  const numbers = text => {
-    const bytes = Uint8Array.from(atob(text), c => c.charCodeAt(0)), view = new DataView(bytes.buffer);
-    return Float32Array.from({ length: bytes.length / 4 }, (_, i) => view.getFloat32(4 * i, true));
-  };
-  const make = (name, attributes, parent, text) => {
-    const element = document.createElementNS(SVG, name);
-    for (const key in attributes) element.setAttribute(key, attributes[key]);
+// Charts by uPlot: axes, cursors, zoom; what a chart shows stands beside it as JSON (chart.py). Charts over time share cursor and zoom.
+const page = (() => {
+  const charts = [], css = getComputedStyle(document.documentElement), clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+  const html = (name, properties, parent, text) => {
+    const element = Object.assign(document.createElement(name), properties);
     if (text !== undefined) element.textContent = text;
-    return parent.appendChild(element);
+    return parent ? parent.appendChild(element) : element;
   };
-  const html = (name, properties, parent) => parent.appendChild(Object.assign(document.createElement(name), properties));
-  const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
-
-  // an axis: values to positions and back, ticks and labels as axis.py has them
-  const axis = (low, high, begin, end, log, room) => {
-    const f = log ? Math.log10 : v => v, g = log ? v => 10 ** v : v => v;
-    const scale = (end - begin) / (f(high) - f(low));
-    return { low, high, begin, end, log, room, f, g, at: v => begin + (f(v) - f(low)) * scale, value: p => g(f(low) + (p - begin) / scale) };
+  const numbers = (text) => {
+    const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+    return new Float32Array(bytes.buffer);
   };
-  const within = (axis, factors, exponents) =>
-    exponents.flatMap(k => factors.map(m => +`${m}e${k}`)).filter(v => v >= axis.low * (1 - 1e-9) && v <= axis.high * (1 + 1e-9));
-  const ticks = a => {
-    const count = clamp(Math.floor(Math.abs(a.end - a.begin) / a.room), 1, MOST);
-    if (a.log && a.high / a.low > 5) {
-      const first = Math.floor(Math.log10(a.low)), last = Math.ceil(Math.log10(a.high)), every = Math.max(1, Math.ceil((last - first) / count));
-      const exponents = Array.from({ length: last - first + 1 }, (_, i) => first + i).filter(k => k % every === 0);
-      const found = [[1], [1, 2, 5], [1, 2, 3, 4, 5, 6, 7, 8, 9]].map(factors => within(a, factors, exponents));
-      return found.find(each => each.length > 2) || found[2];
-    }
-    const raw = (a.high - a.low) / count, power = 10 ** Math.floor(Math.log10(raw));
-    const step = power * STEPS.find(s => s * power >= raw * (1 - 1e-9));
-    const first = Math.ceil(a.low / step - 1e-9), last = Math.floor(a.high / step + 1e-9);
-    return Array.from({ length: last - first + 1 }, (_, i) => (first + i) * step);
+  const colour = (name) => (name.startsWith("var(") ? css.getPropertyValue(name.slice(4, -1)) : name);
+  // a number as Python's format g has it, with a true minus
+  const short = (value, digits = 6) => (value === null || !isFinite(value) ? "–" : String(+value.toPrecision(digits)).replace("e+", "e").replace(/-/g, "−"));
+  const unitOf = (label) => (label.match(/\[(.*)\]/) || ["", ""])[1];
+  // the place in ascending values that is nearest to one
+  const nearest = (values, value) => {
+    let low = 0, high = values.length - 1;
+    while (low < high) { const middle = (low + high) >> 1; if (values[middle] < value) low = middle + 1; else high = middle; }
+    return low && value - values[low - 1] < values[low] - value ? low - 1 : low;
   };
-  // a number as Python's format g has it
-  const short = (value, digits = 6) => {
-    const exponent = value ? +value.toExponential(digits - 1).split("e")[1] : 0;
-    const text = exponent < -4 || exponent >= digits ? value.toExponential(digits - 1) : value.toPrecision(digits);
-    return text.replace(/(\.\d*?)0+(e|$)/, "$1$2").replace(/\.(e|$)/, "$1").replace(/e([+-])(\d)$/, "e$10$2").replace(/-/g, "−");
-  };
-  const labels = (a, values) => {
-    const largest = Math.max(...values.map(Math.abs));
-    if (a.log || !(largest >= 1e-4 && largest < 1e6) || values.length < 2) return values.map(v => short(v));
-    const exact = 1e-3 * (values[1] - values[0]);
-    let decimals = 0;
-    while (decimals < 12 && values.some(v => Math.abs(v - +v.toFixed(decimals)) >= exact)) decimals++;
-    return values.map(v => (v || 0).toFixed(decimals).replace("-", "−"));
+  const range = (low, high, margin, log) => {
+    if (log) return range(Math.log10(low), Math.log10(high), margin).map((each) => 10 ** each);
+    if (!(high > low)) [low, high] = low === high ? [low - (Math.abs(low) || 0.2) / 2, low + (Math.abs(low) || 0.2) / 2] : [0, 1];
+    return [low - margin * (high - low), high + margin * (high - low)];
   };
 
-  // a panel: its axes, and its curves with their values
-  const readCurve = element => {
-    const more = JSON.parse(element.dataset.more || "[]"), all = numbers(element.dataset.xy), size = all.length / (2 + more.length);
-    const channel = i => all.subarray(i * size, (i + 1) * size), dots = element.nextElementSibling;
-    return {
-      element, more, size, x: channel(0), y: channel(1), extra: more.map((_, i) => channel(2 + i)), label: element.dataset.label || "",
-      notes: JSON.parse(element.dataset.notes || "[]"), colour: element.getAttribute("stroke"), isRead: element.classList.contains("curve"),
-      dots: dots && /^(disc|cross)$/.test(dots.getAttribute("class")) ? dots : null,
-    };
-  };
-  const readPanel = element => {
-    const a = element.dataset.axes.split(" ").map(Number), names = JSON.parse(element.dataset.names);
-    const panel = { element, names, curves: [...element.querySelectorAll("[data-xy]")].map(readCurve) };
-    for (const flag of element.dataset.flags.split(" ")) panel[flag] = true;
-    panel.x = panel.wholeX = axis(...a.slice(0, 5), 27);
-    panel.y = panel.wholeY = axis(...a.slice(5), 18);
-    return panel;
-  };
-  const drawn = (panel, curve, sign) => {
-    let d = "", pen = "M";
-    for (let i = 0; i < curve.size; i++) {
-      const x = panel.x.at(curve.x[i]), y = panel.y.at(curve.y[i]);
-      if (!isFinite(x) || !isFinite(y)) { pen = "M"; continue; }
-      d += `${sign ? "M" : pen}${clamp(x, -1e4, 1e4).toFixed(1)} ${clamp(y, -1e4, 1e4).toFixed(1)}${sign || ""}`;
-      pen = "L";
-    }
-    return d;
-  };
-  const draw = panel => {
-    const { x, y, element } = panel, part = name => element.querySelector(name);
-    const xs = ticks(x), ys = ticks(y), labelsX = labels(x, xs), labelsY = labels(y, ys);
-    const join = (values, f) => values.map(f).join("");
-    part(".grid").setAttribute("d", join(xs, v => `M${x.at(v)} ${y.begin}V${y.end}`) + join(ys, v => `M${x.begin} ${y.at(v)}H${x.end}`));
-    part(".frame").setAttribute("d", `M${x.begin} ${y.end}V${y.begin}H${x.end}` + join(xs, v => `M${x.at(v)} ${y.begin}v3.5`) + join(ys, v => `M${x.begin} ${y.at(v)}h-3.5`));
-    const group = part(".ticks"), style = { "font-size": 9, fill: "var(--ink)" };
-    group.textContent = "";
-    ys.forEach((v, i) => make("text", { x: x.begin - 7, y: y.at(v) + 3.42, "text-anchor": "end", ...style }, group, labelsY[i]));
-    if (panel.last) xs.forEach((v, i) => make("text", { x: x.at(v), y: y.begin + 13.84, "text-anchor": "middle", ...style }, group, labelsX[i]));
-    for (const curve of panel.curves) {
-      curve.element.setAttribute("d", drawn(panel, curve));
-      if (curve.dots) curve.dots.setAttribute("d", drawn(panel, curve, curve.dots.getAttribute("class") === "disc" ? "h0" : "m-2.5-2.5l5 5m0-5l-5 5"));
-    }
-    for (const each of element.querySelectorAll("[data-at]")) {
-      const [u, v] = each.dataset.at.split(" "), left = u === "*" ? 0 : x.at(+u), down = v === "*" ? 0 : y.at(+v);
-      each.setAttribute("transform", `translate(${left} ${down})`);
-      const outside = (u !== "*" && (left < x.begin - 1 || left > x.end + 1)) || (v !== "*" && (down > y.begin + 1 || down < y.end - 1));
-      each.style.display = outside ? "none" : "";
-    }
-    if (panel.motion) panel.motion();
-  };
-  const zoomed = (a, low, high) => axis(low, high, a.begin, a.end, a.log, a.room);
-  // vertical limits of what is visible
-  const fit = panel => {
-    let low = Infinity, high = -Infinity;
-    for (const c of panel.curves) if (!c.off) for (let i = 0; i < c.size; i++) {
-      const v = c.y[i];
-      if (c.x[i] < panel.x.low || c.x[i] > panel.x.high || !isFinite(v) || (panel.y.log && v <= 0)) continue;
-      low = Math.min(low, v); high = Math.max(high, v);
-    }
-    if (!(high > low)) return;
-    const { f, g } = panel.y, margin = 0.05 * (f(high) - f(low));
-    panel.y = zoomed(panel.y, panel.zero ? 0 : g(f(low) - margin), g(f(high) + margin));
+  const curveOf = (given) => {
+    const all = given.xy ? numbers(given.xy) : new Float32Array(0), more = given.more || [], size = all.length / (2 + more.length);
+    const channel = (i) => all.subarray(i * size, (i + 1) * size);
+    return { ...given, more, x: channel(0), y: channel(1), extra: more.map((_, i) => channel(2 + i)), notes: given.notes || [] };
   };
 
-  const chart = svg => {
-    const panels = [...svg.querySelectorAll(".panel")].map(readPanel), figure = svg.parentElement;
-    const tip = html("div", { className: "tip", hidden: true }, figure), cursor = make("g", { class: "cursor" }, svg);
-    const reset = html("button", { className: "reset", hidden: true, textContent: "reset zoom" }, figure);
-    let place = null, began = null;
-    svg.tabIndex = 0;
-    // limits: horizontal ones for all panels, vertical ones for the one that is zoomed or of what is visible
-    const show = (x, y, chosen) => {
-      for (const panel of panels) {
-        panel.x = zoomed(panel.x, ...x);
-        if (y && panel === chosen) panel.y = zoomed(panel.y, ...y); else if (!y) fit(panel);
-        draw(panel);
-      }
-      reset.hidden = false; hide();
-    };
-    const whole = () => {
-      for (const panel of panels) { panel.x = panel.wholeX; panel.y = panel.wholeY; draw(panel); }
-      reset.hidden = true; hide();
-    };
-    const hide = () => { tip.hidden = true; cursor.textContent = ""; };
-    const point = event => new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
-    const panelAt = p => panels.find(({ x, y }) => p.x >= x.begin - 4 && p.x <= x.end + 4 && p.y >= y.end - 4 && p.y <= y.begin + 4);
-    const name = text => /^(.*) \[(.*)\]$/.exec(text) || [text, text, ""];
-    const line = (text, value, colour) => {
-      const row = html("div", {}, tip), [, what, unit] = name(text);
-      if (colour) html("i", {}, row).style.background = colour;
-      row.append(`${what} ${short(value)} ${unit}`.trim());
-    };
-
-    // values at a position: of all curves at the nearest time, or of the nearest point
-    const nearest = (curve, panel, p) => {
-      let best = -1, least = Infinity;
-      for (let i = 0; i < curve.size; i++) {
-        const dx = panel.x.at(curve.x[i]) - p.x, dy = panel.function ? 0 : panel.y.at(curve.y[i]) - p.y, distance = dx * dx + dy * dy;
-        if (distance < least) { least = distance; best = i; }
-      }
-      return { curve, panel, i: best, distance: least };
-    };
-    const read = p => {
-      hide();
-      const panel = p && panelAt(p);
-      if (!panel) return;
-      let found = (panel.function ? panels : [panel]).flatMap(each => each.curves.filter(c => c.isRead && !c.off && c.size).map(c => nearest(c, each, p)));
-      if (!found.length) return;
-      const closest = found.reduce((a, b) => b.distance < a.distance ? b : a);
-      if (!panel.function) found = [closest];
-      tip.textContent = "";
-      const { curve, i } = closest, left = panel.x.at(curve.x[i]);
-      if (panel.function) {
-        make("path", { d: panels.map(({ y }) => `M${left} ${y.begin}V${y.end}`).join(""), stroke: "var(--grey)", "stroke-width": 0.6 }, cursor);
-        line(panel.names[0], curve.x[i]);
-      } else if (curve.label) html("div", { textContent: curve.label }, tip);
-      for (const { curve: c, panel: own, i: k } of found) {
-        make("circle", { cx: own.x.at(c.x[k]), cy: own.y.at(c.y[k]), r: 2.6, fill: c.colour }, cursor);
-        const [, what, unit] = name(own.names[1]);
-        if (c.more.length) c.more.forEach((text, n) => line(text, c.extra[n][k], n ? "" : c.colour));
-        else if (panel.function) line(`${panels.length > 1 || !c.label ? what : ""} ${c.label}`.trim() + ` [${unit}]`, c.y[k], c.colour);
-        else { line(own.names[0], c.x[k], c.colour); line(own.names[1], c.y[k]); }
-        if (c.notes[k]) html("div", { textContent: c.notes[k] }, tip);
-      }
-      tip.hidden = false;
-      const box = svg.getBoundingClientRect(), frame = figure.getBoundingClientRect(), scale = box.width / svg.viewBox.baseVal.width;
-      const x = box.left - frame.left + left * scale, room = frame.width - tip.offsetWidth - 4;
-      tip.style.left = `${clamp(x + 12 > room ? x - tip.offsetWidth - 12 : x + 12, 4, Math.max(room, 4))}px`;
-      tip.style.top = `${box.top - frame.top + Math.max(panel.y.end, p.y - 40) * scale}px`;
-    };
-    svg.addEventListener("pointerdown", event => {
-      const p = point(event), panel = panelAt(p);
-      if (!panel || event.button) return;
-      began = { p, panel };
-      svg.setPointerCapture(event.pointerId);
-    });
-    svg.addEventListener("pointermove", event => {
-      place = point(event);
-      if (!began) return read(place);
-      hide();
-      const { p, panel: { x, y, function: isFunction } } = began, [left, right] = [p.x, place.x].sort((a, b) => a - b), [top, bottom] = [p.y, place.y].sort((a, b) => a - b);
-      make("rect", {
-        x: left, width: right - left, y: isFunction ? y.end : top, height: isFunction ? y.begin - y.end : bottom - top, fill: "var(--first)", "fill-opacity": 0.15,
-      }, cursor);
-    });
-    const stop = event => {
-      if (!began) return;
-      const { p, panel } = began, q = point(event);
-      began = null;
-      if (event.type === "pointercancel" || Math.abs(q.x - p.x) < 5) return read(q);
-      const across = [p.x, q.x].map(v => panel.x.value(clamp(v, panel.x.begin, panel.x.end))).sort((a, b) => a - b);
-      if (panel.function) return show(across);
-      let up = [p.y, q.y].map(v => panel.y.value(clamp(v, panel.y.end, panel.y.begin))).sort((a, b) => a - b);
-      // one scale for both axes: about the middle of what was chosen
-      if (panel.scale) {
-        const { x, y } = panel, middle = (up[0] + up[1]) / 2, half = (across[1] - across[0]) * (y.begin - y.end) / (x.end - x.begin) / 2;
-        up = [middle - half, middle + half];
-      } else if (Math.abs(q.y - p.y) < 5) return hide();
-      show(across, up, panel);
-    };
-    svg.addEventListener("pointerup", stop);
-    svg.addEventListener("pointercancel", stop);
-    // what a finger has shown stays until it taps elsewhere
-    svg.addEventListener("pointerleave", event => { if (!began && event.pointerType !== "touch") hide(); });
-    document.addEventListener("pointerdown", event => { if (!svg.contains(event.target)) hide(); });
-    svg.addEventListener("dblclick", whole);
-    reset.addEventListener("click", whole);
-    svg.addEventListener("keydown", event => {
-      const { x, y } = panels[0], middle = { x: (x.begin + x.end) / 2, y: (y.begin + y.end) / 2 };
-      const p = place && panelAt(place) ? place : middle, key = event.key;
-      if (key === "Escape" || key === "0") whole();
-      else if (key === "ArrowLeft" || key === "ArrowRight") read(place = { x: clamp(p.x + (key === "ArrowLeft" ? -3 : 3), x.begin, x.end), y: p.y });
-      else if (key === "+" || key === "-") {
-        const panel = panelAt(p), factor = key === "+" ? 0.5 : 2;
-        const about = (a, at) => [a.value(at + factor * (a.begin - at)), a.value(at + factor * (a.end - at))];
-        show(about(panel.x, p.x), panel.function ? null : about(panel.y, p.y), panel);
-      } else return;
-      event.preventDefault();
-    });
-    // a click on the legend hides a curve
-    for (const key of svg.querySelectorAll(".key")) {
-      const { x, y, width, height } = key.getBBox();
-      key.setAttribute("role", "button");
-      make("rect", { x, y, width, height, fill: "transparent" }, key);
-      key.addEventListener("click", () => {
-        const off = key.classList.toggle("off");
-        for (const c of panels.flatMap(panel => panel.curves)) if (c.label === key.dataset.label) {
-          c.off = off;
-          for (const each of [c.element, c.dots]) if (each) each.style.display = off ? "none" : "";
+  class Panel {
+    constructor(chart, given, number) {
+      Object.assign(this, { chart, ...given, number, isLast: number === chart.count - 1, curves: given.curves.map(curveOf) });
+      this.log = { x: given.logarithmic.includes("x"), y: given.logarithmic.includes("y") };
+      if (given.motion) this.motion = new Motion(this, given.motion);
+    }
+    // limits of what is drawn: of all of it, or of what is between two x
+    limits(axis, between) {
+      const isLog = this.log[axis];
+      let low = Infinity, high = -Infinity;
+      const take = (v) => { if (isFinite(v) && (!isLog || v > 0)) { low = Math.min(low, v); high = Math.max(high, v); } };
+      for (const c of this.curves) if (!c.off) for (let i = 0; i < c.x.length; i++) if (!between || (c.x[i] >= between[0] && c.x[i] <= between[1])) take(c[axis][i]);
+      if (this.motion) this.motion.extent(axis).forEach(take);
+      if (axis === "x" && this.xLimits) return this.xLimits;
+      if (axis === "y" && this.level !== null && !between) take(this.level);
+      const found = range(low, high, axis === "y" || !this.is_function ? 0.05 : 0.01, isLog);
+      if (axis === "y" && this.from_zero) found[0] = 0;
+      if (axis === "y" && this.least !== null) found[0] = Math.max(found[0], this.least);
+      return found;
+    }
+    build(width) {
+      const { chart, is_to_scale: toScale } = this, axisOf = (label, size) => ({
+        stroke: () => colour("var(--ink)"), grid: { stroke: () => colour("var(--line)"), width: 1 }, ticks: { stroke: () => colour("var(--grey)"), width: 1, size: 4 },
+        font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif", label, labelSize: label ? 18 : 0, size, labelGap: 0,
+      });
+      const label = this.label.replace("\n", " "), x = axisOf(this.isLast ? chart.x : "", this.isLast ? 34 : 12), y = axisOf(label, 58);
+      if (!this.isLast) x.values = (_, splits) => splits.map(() => "");
+      y.values = (_, splits) => splits.map((v) => (v === null ? "" : short(v, 5)));
+      if (this.isLast) x.values = y.values;
+      this.whole = { x: chart.limits, y: this.limits("y") };
+      const height = toScale ? this.scaled(width) : this.height;
+      const scale = (axis) => ({ time: false, auto: false, distr: this.log[axis] ? 3 : 1, range: () => this.shown[axis] });
+      this.shown = { ...this.whole };
+      this.plot?.destroy();
+      this.plot = new uPlot({
+        width, height, padding: [8, 10, 0, 0], legend: { show: false }, scales: { x: scale("x"), y: scale("y") }, axes: [x, y],
+        series: [{}, { show: true, stroke: "transparent" }],
+        cursor: { y: !this.is_function, points: { show: false }, drag: { x: true, y: !this.is_function, setScale: false, uni: 10 }, bind: { dblclick: () => () => (chart.reset(), null) } },
+        hooks: {
+          draw: [() => this.draw()], setCursor: [(u) => u.cursor.event && this.pointed(u)],
+          setSelect: [(u) => { if (u.select.width > 5) this.selected(u.select); u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false); }],
+        },
+      }, [[this.whole.x[0], this.whole.x[1]], [null, null]], this.box ??= html("div", { className: "panel" }, chart.body));
+    }
+    // the height at which both axes have one scale, and limits that fit it
+    scaled(width) {
+      const [x, y] = [this.whole.x, this.whole.y], across = width - 58 - 18 - 10, ratio = (y[1] - y[0]) / (x[1] - x[0]);
+      const high = clamp(across * ratio, 120, 560);
+      if (across * ratio > high) { const more = (across * (y[1] - y[0]) / high - (x[1] - x[0])) / 2; this.whole.x = [x[0] - more, x[1] + more]; }
+      else if (across * ratio < high) { const more = (high / across * (x[1] - x[0]) - (y[1] - y[0])) / 2; this.whole.y = [y[0] - more, y[1] + more]; }
+      return high + 34 + 18 + 8;
+    }
+    draw() {
+      const { plot: u } = this, { ctx, bbox } = u, ratio = devicePixelRatio, at = (v, axis) => u.valToPos(v, axis, true);
+      ctx.save();
+      ctx.beginPath(); ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height); ctx.clip();
+      ctx.lineCap = ctx.lineJoin = "round"; ctx.font = `${12 * ratio}px system-ui, sans-serif`;
+      const line = (points, stroke, width, dashes = [], opacity = 1) => {
+        ctx.globalAlpha = opacity; ctx.strokeStyle = colour(stroke); ctx.lineWidth = width * ratio; ctx.setLineDash(dashes.map((each) => each * ratio));
+        ctx.beginPath();
+        let pen = false;
+        for (const [x, y] of points) { if (isFinite(x) && isFinite(y)) { if (pen) ctx.lineTo(x, y); else ctx.moveTo(x, y); pen = true; } else pen = false; }
+        ctx.stroke(); ctx.setLineDash([]); ctx.globalAlpha = 1;
+      };
+      const disc = (x, y, size, fill, opacity = 1, square = false) => {
+        ctx.globalAlpha = opacity; ctx.fillStyle = colour(fill); ctx.beginPath();
+        if (square) ctx.rect(x - size * ratio / 2, y - size * ratio / 2, size * ratio, size * ratio); else ctx.arc(x, y, size * ratio / 2, 0, 7);
+        ctx.fill(); ctx.globalAlpha = 1;
+      };
+      const text = (content, x, y, align = "left", fill = "var(--ink)") => { ctx.fillStyle = colour(fill); ctx.textAlign = align; ctx.fillText(content, x, y); };
+      // of a long curve the ends and the extremes in each pixel
+      const drawn = ({ x, y }) => {
+        const found = [], count = x.length;
+        if (!this.is_function || count < 3 * this.chart.width) { for (let i = 0; i < count; i++) found.push([at(x[i], "x"), at(y[i], "y")]); return found; }
+        for (let i = 0; i < count; ) {
+          const pixel = Math.floor(at(x[i], "x"));
+          let low = i, high = i, last = i;
+          for (; i < count && Math.floor(at(x[i], "x")) === pixel; last = i++) { if (y[i] < y[low]) low = i; if (y[i] > y[high]) high = i; }
+          for (const k of [...new Set([Math.min(low, high), Math.max(low, high), last])]) found.push([at(x[k], "x"), at(y[k], "y")]);
         }
+        return found;
+      };
+      for (const [x, label] of this.marks) {
+        line([[at(x, "x"), bbox.top], [at(x, "x"), bbox.top + bbox.height]], "var(--grey)", 1, [5, 4]);
+        text(label, at(x, "x") + 4 * ratio, bbox.top + 12 * ratio, "left", "var(--grey)");
+      }
+      if (this.level !== null) line([[bbox.left, at(this.level, "y")], [bbox.left + bbox.width, at(this.level, "y")]], "var(--grey)", 1, [5, 4]);
+      for (const c of this.curves) {
+        if (c.off || (c.group === "pose" && this.motion)) continue;
+        const points = drawn(c);
+        if (c.width) line(points, c.colour, c.width, c.dashes, c.opacity);
+        if (c.ghost) line(drawn(c.ghost), c.colour, 1, [2, 3], 0.6);
+        for (const [x, y] of c.dot ? points : []) {
+          if (!isFinite(x) || !isFinite(y)) continue;
+          if (c.dot === "disc") disc(x, y, 6, c.colour); else for (const s of [1, -1]) line([[x - 4 * ratio, y - 4 * s * ratio], [x + 4 * ratio, y + 4 * s * ratio]], c.colour, 1.6);
+        }
+      }
+      for (const m of this.markers) {
+        if (m.group === "pose" && this.motion) continue;
+        const x = at(m.x, "x"), y = at(m.y, "y");
+        if (m.size) disc(x, y, m.size, m.colour, m.opacity, m.shape === "square");
+        if (m.text) text(m.text, x + m.offset[0] * ratio, y + m.offset[1] * ratio, m.anchor === "middle" ? "center" : "left");
+      }
+      if (this.picked) disc(at(this.picked[0], "x"), at(this.picked[1], "y"), 9, "var(--second)", 0.7);
+      this.motion?.draw(line, disc, at);
+      ctx.restore();
+    }
+    pointed(u) {
+      const { left, top } = u.cursor;
+      if (left < 0) return;
+      const x = u.posToVal(left, "x");
+      if (this.is_function) return this.chart.overTime ? page.at(x) : this.chart.read(x);
+      // the nearest point of a curve that is read
+      let best = null, distance = 30 * 30;
+      for (const c of this.curves) if (c.is_read && !c.off) for (let i = 0; i < c.x.length; i++) {
+        const d = (u.valToPos(c.x[i], "x") - left) ** 2 + (u.valToPos(c.y[i], "y") - top) ** 2;
+        if (d < distance) { distance = d; best = [c, i]; }
+      }
+      this.picked = best && [best[0].x[best[1]], best[0].y[best[1]]];
+      this.chart.say(best ? this.told(...best) : "");
+      if (best && best[0].more[0]?.startsWith("time")) page.at(best[0].extra[0][best[1]], this);
+      u.redraw(false);
+    }
+    told(c, i) {
+      const values = c.more.length ? c.more.map((name, k) => [name, c.extra[k][i]]) : [[this.chart.x, c.x[i]], [this.label.replace("\n", " "), c.y[i]]];
+      return [c.label, ...values.map(([name, v]) => `${name.replace(/ \[.*\]/, "")} ${short(v)} ${unitOf(name)}`), c.notes[i]].filter(Boolean).join(" · ");
+    }
+    selected({ left, width, top, height }) {
+      const { plot: u, chart } = this, x = [u.posToVal(left, "x"), u.posToVal(left + width, "x")];
+      if (this.is_function) return chart.zoom(x);
+      if (height < 5) return;
+      let y = [u.posToVal(top + height, "y"), u.posToVal(top, "y")];
+      if (this.is_to_scale) { const middle = (y[0] + y[1]) / 2, half = (x[1] - x[0]) / (this.shown.x[1] - this.shown.x[0]) * (this.shown.y[1] - this.shown.y[0]) / 2; y = [middle - half, middle + half]; }
+      this.show(x, y);
+      chart.isZoomed(true);
+    }
+    show(x, y) {
+      this.shown = { x: x ?? this.whole.x, y: y ?? (x ? this.limits("y", x) : this.whole.y) };
+      this.plot.batch(() => {
+        for (const axis of ["x", "y"]) this.plot.setScale(axis, { min: this.shown[axis][0], max: this.shown[axis][1] });
+        this.plot.redraw(false, true);
       });
     }
-    for (const panel of panels) if (panel.element.dataset.motion) animate(svg, figure, panel);
-  };
+  }
+
+  class Chart {
+    constructor(body) {
+      const given = JSON.parse(body.querySelector("script").textContent);
+      Object.assign(this, { body, key: given.key, x: given.x, count: given.panels.length, overTime: given.x.startsWith("time"), figure: body.parentElement });
+      this.legend = html("div", { className: "legend" });
+      body.prepend(this.legend);
+      this.panels = given.panels.map((each, n) => new Panel(this, each, n));
+      this.said = html("p", { className: "said" }, body);
+      this.button = html("button", { className: "reset", hidden: true, type: "button", onclick: () => this.reset() }, this.figure, "reset zoom");
+      this.keys = [];
+      const labels = [...new Set(this.panels.flatMap((panel) => panel.curves.map((c) => c.label)))].filter(Boolean);
+      for (const label of labels) {
+        const curves = this.panels.flatMap((panel) => panel.curves.filter((c) => c.label === label)), key = html("button", { className: "key", type: "button" }, this.legend);
+        const sign = html("i", {}, key);
+        sign.style.background = curves[0].dashes.length ? `repeating-linear-gradient(90deg, ${curves[0].colour} 0 5px, transparent 5px 8px)` : curves[0].colour;
+        html("span", {}, key, label);
+        this.keys.push({ curves, value: html("output", {}, key) });
+        key.ariaPressed = "true";
+        key.addEventListener("click", () => { const off = key.classList.toggle("off"); key.ariaPressed = String(!off); curves.forEach((c) => (c.off = off)); this.redraw(); });
+      }
+      body.tabIndex = 0;
+      body.addEventListener("keydown", (event) => this.pressed(event));
+      new ResizeObserver(() => { const width = Math.floor(body.clientWidth); if (width && width !== this.width) this.build(width); }).observe(body);
+      this.build(Math.floor(body.clientWidth) || 480);
+      new IntersectionObserver((all) => { this.isVisible = all[all.length - 1].isIntersecting; if (this.isVisible) this.later?.(); }, { rootMargin: "100px" }).observe(body);
+    }
+    // do it now, or when the chart comes into view
+    whenSeen(act) {
+      this.later = null;
+      if (this.isVisible) act(); else this.later = () => { this.later = null; act(); };
+    }
+    build(width) {
+      this.width = width;
+      const all = this.panels.map((panel) => panel.limits("x"));
+      this.limits = [Math.min(...all.map((each) => each[0])), Math.max(...all.map((each) => each[1]))];
+      this.panels.forEach((panel) => panel.build(width));
+      this.isZoomed(false);
+    }
+    // new values of the curves, as much of them as before in view
+    redraw(isNew = false) {
+      if (isNew && !this.panels[0].is_to_scale) {
+        const all = this.panels.map((panel) => panel.limits("x"));
+        this.limits = [Math.min(...all.map((each) => each[0])), Math.max(...all.map((each) => each[1]))];
+        for (const panel of this.panels) { panel.whole = { x: this.limits, y: panel.limits("y") }; if (this.button.hidden) panel.show(); }
+      } else this.panels.forEach((panel) => panel.plot.redraw(false));
+    }
+    isZoomed(is) { this.button.hidden = !is; }
+    zoom(x) {
+      for (const chart of this.overTime ? charts.filter((each) => each.overTime) : [this]) {
+        const inside = [clamp(x[0], ...chart.limits), clamp(x[1], ...chart.limits)];
+        if (inside[1] > inside[0]) { chart.panels.forEach((panel) => panel.show(inside)); chart.isZoomed(true); }
+      }
+    }
+    reset() {
+      for (const chart of this.overTime ? charts.filter((each) => each.overTime) : [this]) { chart.panels.forEach((panel) => panel.show()); chart.isZoomed(false); }
+    }
+    say(text) { this.said.textContent = text; }
+    // values at x beside the names of the curves, and a line through all panels
+    read(x, isMine = true) {
+      this.place = x;
+      for (const { curves, value } of this.keys) {
+        value.textContent = curves.map((c) => { const i = nearest(c.x, x); return c.x.length ? short(c.y[i], isMine ? 6 : 5) : "–"; }).join(", ");
+      }
+      const named = this.panels.length === 1 ? unitOf(this.panels[0].label) : "";
+      const alone = this.keys.length ? "" : ` · ${short(this.panels[0].curves[0].y[nearest(this.panels[0].curves[0].x, x)])} ${named}`;
+      this.say(`${this.x.replace(/ \[.*/, "")} ${short(x)} ${unitOf(this.x)}${this.keys.length && named ? ` · in ${named}` : alone}`);
+      for (const { plot } of this.panels) plot.setCursor({ left: plot.valToPos(x, "x"), top: -10 }, false);
+    }
+    pressed(event) {
+      const panel = this.panels[0], { x } = panel.shown, span = x[1] - x[0], middle = this.place ?? (x[0] + x[1]) / 2;
+      const moves = { ArrowLeft: -0.01, ArrowRight: 0.01 }, zooms = { "+": 0.5, "-": 2 };
+      if (event.key in moves && panel.is_function) { const to = clamp(middle + moves[event.key] * span, ...x); this.overTime ? page.at(to) : this.read(to); }
+      else if (event.key in zooms && panel.is_function) this.zoom([middle - (middle - x[0]) * zooms[event.key], middle + (x[1] - middle) * zooms[event.key]]);
+      else if (event.key === "Escape" || event.key === "0") this.reset();
+      else return;
+      event.preventDefault();
+    }
+  }
 
   // the mechanism over time: points of chains, the rigid robot's plus magnified deviations from them
-  const animate = (svg, figure, panel) => {
-    const { count, instants, chains, magnification, slower } = JSON.parse(panel.element.dataset.motion), all = numbers(panel.element.dataset.points);
-    const time = all.subarray(0, instants), rigid = all.subarray(instants, instants + 2 * count * instants), deviation = all.subarray(instants + 2 * count * instants);
-    const group = make("g", {}, panel.element.querySelector("[clip-path]")), thin = { fill: "none", "stroke-linecap": "round", "stroke-linejoin": "round" };
-    const trace = make("path", { ...thin, stroke: "var(--second)", "stroke-width": 1 }, group);
-    const lines = chains.map(c => make("path", { ...thin, stroke: `var(--${c.colour})`, "stroke-width": c.width }, group));
-    const end = make("circle", { r: 3.5, fill: "var(--second)" }, group);
-    let frame = 0, times = magnification, playing = false, last = 0;
-    const controls = html("div", { className: "controls" }, figure);
-    const play = html("button", { textContent: "play" }, controls);
-    const slider = (name, properties) => {
-      const label = html("label", { textContent: name }, controls), input = html("input", { type: "range", ...properties }, label);
-      return [input, html("output", {}, label)];
-    };
-    const [at, shownAt] = slider("time", { min: 0, max: instants - 1, step: 1, value: 0 });
-    const [by, shownBy] = slider("deflection", { min: 0, max: Math.max(3, Math.log10(magnification) + 1), step: 0.01, value: Math.log10(magnification) });
-    const place = (k, j) => {
-      const i = 2 * (k * count + j);
-      return `${panel.x.at(rigid[i] + times * deviation[i]).toFixed(1)} ${panel.y.at(rigid[i + 1] + times * deviation[i + 1]).toFixed(1)}`;
-    };
-    panel.motion = () => {
-      chains.forEach((chain, n) => lines[n].setAttribute("d", "M" + chain.points.map(j => place(frame, j)).join(" ")));
-      trace.setAttribute("d", "M" + Array.from({ length: frame + 1 }, (_, k) => place(k, count - 1)).join(" "));
-      const [x, y] = place(frame, count - 1).split(" ");
-      end.setAttribute("cx", x); end.setAttribute("cy", y);
-      shownAt.textContent = `${(1e3 * time[frame]).toFixed(0)} ms`;
-      shownBy.textContent = `${short(times, 3)} ×`;
-    };
-    const step = now => {
-      if (!playing) return;
-      const span = time[instants - 1] - time[0], t = time[0] + ((now - last) / 1e3 / slower) % span;
-      frame = Math.max(0, time.findIndex(each => each > t) - 1);
-      at.value = frame;
-      panel.motion();
+  class Motion {
+    constructor(panel, given) {
+      Object.assign(this, { panel, ...given, frame: 0, times: given.magnification, playing: false });
+      this.take(numbers(given.points));
+      const { figure } = panel.chart, controls = html("div", { className: "controls" }, figure);
+      this.button = html("button", { type: "button", onclick: () => this.play() }, controls, "play");
+      const slider = (name, properties, changed) => {
+        const label = html("label", {}, controls, name), input = html("input", { type: "range", ...properties, oninput: () => changed(+input.value) }, label);
+        return [input, html("output", {}, label)];
+      };
+      const power = Math.log10(this.magnification);
+      [this.slider, this.shownTime] = slider("time", { min: 0, max: this.instants - 1, step: 1, value: 0 }, (k) => { this.stop(); page.at(this.time[k]); });
+      [, this.shownTimes] = slider("deflection", { min: 0, max: Math.max(3, power + 1), step: 0.01, value: power }, (p) => { this.times = 10 ** p; this.fitted(); });
+      this.tell();
+    }
+    take(all) {
+      const { count, instants } = this, n = 2 * count * instants;
+      Object.assign(this, { time: all.subarray(0, instants), rigid: all.subarray(instants, instants + n), deviation: all.subarray(instants + n) });
+    }
+    at(k, j) {
+      const i = 2 * (k * this.count + j), { rigid, deviation, times } = this;
+      return [rigid[i] + times * deviation[i], rigid[i + 1] + times * deviation[i + 1]];
+    }
+    // all places that any point reaches
+    extent(axis) {
+      const found = [Infinity, -Infinity], offset = axis === "x" ? 0 : 1;
+      for (let i = offset; i < this.rigid.length; i += 2) { const v = this.rigid[i] + this.times * this.deviation[i]; if (v < found[0]) found[0] = v; if (v > found[1]) found[1] = v; }
+      const [low, high] = [Math.min, Math.max].map((f, k) => { let v = k ? -Infinity : Infinity; for (let i = offset; i < this.rigid.length; i += 2) v = f(v, this.rigid[i]); return v; });
+      return [Math.max(found[0], low - (high - low)), Math.min(found[1], high + (high - low))];
+    }
+    fitted() { this.tell(); this.panel.chart.build(this.panel.chart.width); }
+    tell() {
+      this.slider.value = this.frame;
+      this.shownTime.textContent = `${(1e3 * this.time[this.frame]).toFixed(0)} ms`;
+      this.shownTimes.textContent = `${short(this.times, 3)} ×`;
+    }
+    show(time) {
+      this.frame = nearest(this.time, time);
+      this.tell();
+      this.panel.plot?.redraw(false);
+    }
+    draw(line, disc, at) {
+      const { count, frame, chains } = this, place = (k, j) => { const [x, y] = this.at(k, j); return [at(x, "x"), at(y, "y")]; };
+      line(Array.from({ length: frame + 1 }, (_, k) => place(k, count - 1)), "var(--second)", 1);
+      for (const chain of chains) line(chain.points.map((j) => place(frame, j)), `var(--${chain.colour})`, chain.width);
+      disc(...place(frame, count - 1), 8, "var(--second)");
+    }
+    stop() { this.playing = false; this.button.textContent = "play"; }
+    play() {
+      if (this.playing) return this.stop();
+      this.playing = true;
+      this.button.textContent = "pause";
+      const span = this.time[this.instants - 1] - this.time[0], began = performance.now() - 1e3 * this.slower * (this.time[this.frame] - this.time[0]);
+      const step = (now) => {
+        if (!this.playing) return;
+        page.at(this.time[0] + ((now - began) / 1e3 / this.slower) % span);
+        requestAnimationFrame(step);
+      };
       requestAnimationFrame(step);
-    };
-    const begin = () => svg.classList.add("animated");
-    at.addEventListener("input", () => { begin(); playing = false; play.textContent = "play"; frame = +at.value; panel.motion(); });
-    by.addEventListener("input", () => { begin(); times = 10 ** by.value; panel.motion(); });
-    play.addEventListener("click", () => {
-      begin();
-      playing = !playing;
-      play.textContent = playing ? "pause" : "play";
-      last = performance.now() - 1e3 * slower * (time[frame] - time[0]);
-      if (playing) requestAnimationFrame(step);
-    });
-    group.style.display = "";
-    panel.motion();
-    begin();
-  };
+    }
+  }
 
-  document.querySelectorAll("svg.chart").forEach(chart);
+  addEventListener("DOMContentLoaded", () => {
+    for (const body of document.querySelectorAll(".chart")) charts.push(new Chart(body));
+    const again = () => charts.forEach((each) => each.redraw());
+    for (const query of ["(prefers-color-scheme: dark)", "print"]) matchMedia(query).addEventListener("change", again);
+    addEventListener("beforeprint", () => charts.forEach((each) => each.later?.()));
+    dispatchEvent(new Event("charts"));
+  });
+  return {
+    charts, html, short, range,
+    /** Shows an instant in all charts over time, and the robot then. */
+    at(time, by) {
+      for (const chart of charts) {
+        if (chart.overTime) chart.read(clamp(time, ...chart.limits), !by);
+        for (const panel of chart.panels) panel.motion?.show(time);
+      }
+    },
+  };
 })();

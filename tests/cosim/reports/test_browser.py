@@ -124,11 +124,12 @@ def test_a_page_is_whole_on_a_phone_and_on_a_desk(name: str, browser: Any, folde
         page.goto(f"file://{path}")
         for width in (1200, 390):
             page.set_viewport_size({"width": width, "height": 800})
+            page.wait_for_timeout(50.0)
             if has_scripts:
                 assert page.evaluate("document.documentElement.scrollWidth") == width
-            boxes = page.locator("svg.chart").evaluate_all(
-                "all => all.map(each => each.getBoundingClientRect().toJSON())"
-            )
+            shown = ".panel" if has_scripts else "svg.plain"
+            boxes = page.locator(shown).evaluate_all("all => all.map(each => each.getBoundingClientRect().toJSON())")
+            assert len(boxes) >= page.locator(".chart").count()
             for box in boxes:
                 assert box["left"] >= 0.0
                 assert box["right"] <= width
@@ -146,108 +147,116 @@ def chart_of(page: Any, title: str) -> Any:
     return figure
 
 
-def values_in(text: str) -> list[float]:
-    """The value in each line of a text that shows some."""
-    lines = (re.findall(r" (−?[\d.]+(?:e[−+]?\d+)?)(?= |$)", line) for line in text.splitlines())
-    return [float(found[-1].replace("−", "-")) for found in lines]
+def put_into_view(page: Any, title: str) -> Any:
+    """The chart below a heading, in view; its place on the page."""
+    figure = chart_of(page, title)
+    return figure, figure.locator(".u-over").first.bounding_box()
 
 
-def test_pointing_shows_recorded_values(report: Any, run: Run) -> None:
-    """Time and both torques at an instant, to the six digits that are shown."""
-    figure = chart_of(report, "Motor torques")
-    box = figure.locator("svg").bounding_box()
+def values_in(figure: Any) -> list[float]:
+    """The instant that a chart shows, then the values of its curves."""
+    said = re.search(r"time (\S+) s", figure.locator(".said").inner_text())
+    assert said is not None
+    texts = [said[1], *figure.locator(".key output").all_inner_texts()]
+    return [float(each.replace("−", "-")) for each in texts]
+
+
+def test_pointing_shows_recorded_values_in_all_charts(report: Any, run: Run) -> None:
+    """Time and both torques at an instant, also in a chart that isn't pointed at; and the robot at that instant."""
+    figure, box = put_into_view(report, "Motor torques")
+    other = chart_of(report, "Motor torques"), chart_of(report, "Tip deflections")
     for share in (0.3, 0.5, 0.7):
+        chart_of(report, "Motor torques")
+        box = figure.locator(".u-over").first.bounding_box()
         report.mouse.move(box["x"] + share * box["width"], box["y"] + 0.5 * box["height"])
-        time, *torques = values_in(figure.locator(".tip").inner_text())
+        time, *torques = values_in(other[0])
+        assert len(torques) == 2
         for joint, torque in enumerate(torques, start=1):
             exact = np.interp(time, run.recording.time, run.recording[f"joint{joint}.torque"].values)
-            # the instant has six digits too, and a point between communication points is the interpolant's
-            assert torque == pytest.approx(exact, rel=2e-3, abs=0.05)
-        assert len(torques) == 2
+            # the nearest of the page's points, at most half a communication step away
+            assert torque == pytest.approx(exact, rel=0.02, abs=1.0)
+        assert values_in(other[1])[0] == time
+        moved = chart_of(report, "Scene").locator(".controls output").first.inner_text()
+        assert float(moved.removesuffix(" ms")) == pytest.approx(1e3 * time, abs=3.0)
 
 
 def test_a_finger_shows_values(browser: Any, folder: Path) -> None:
-    """They stay after the tap, until the next one."""
+    """At the place of the tap."""
     context = browser.new_context(viewport={"width": 390, "height": 800}, has_touch=True)
     page = context.new_page()
     page.goto(f"file://{folder / 'report.html'}")
-    figure, other = chart_of(page, "Motor torques"), page.locator("h1")
-    box = figure.locator("svg").bounding_box()
+    figure, box = put_into_view(page, "Motor torques")
     page.touchscreen.tap(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
-    assert len(values_in(figure.locator(".tip").inner_text())) == 3
-    other.scroll_into_view_if_needed()
-    other.tap()
-    assert not figure.locator(".tip").is_visible()
+    assert len(values_in(figure)) == 3
     context.close()
 
 
+LIMITS = "page.charts.filter(each => each.overTime).map(each => each.panels[0].shown.x)"
+
+
 def test_zooming_and_back(report: Any) -> None:
-    """A drag shows less time at the width of the chart; the whole is what Python has drawn, ticks and curves."""
-    figure = chart_of(report, "Motor torques")
-    texts = "[...document.querySelectorAll('.ticks')].map(each => [...each.children].map(text => text.textContent).join(' '))"
-    before, box = report.evaluate(texts), figure.locator("svg").bounding_box()
-    curve = figure.locator(".curve").first
-    first = curve.get_attribute("d")
-    report.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 100)
+    """A drag shows less time in all charts over time; keys and a button show the whole again."""
+    before, (figure, box) = report.evaluate(LIMITS), put_into_view(report, "Motor torques")
+    report.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 60)
     report.mouse.down()
-    report.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 120, steps=3)
+    report.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 70, steps=3)
     report.mouse.up()
-    assert report.evaluate(texts) != before
-    shown = [float(each) for each in figure.locator(".ticks text[text-anchor=middle]").all_text_contents()]
-    assert 0.02 < shown[-1] - shown[0] < 0.08
+    zoomed = report.evaluate(LIMITS)
+    spans = [high - low for low, high in zoomed]
+    # all but those of the dwell, which begin later
+    assert sum(span < 0.1 for span in spans) == len(spans) - 1
+    assert len({*map(tuple, zoomed[:3])}) == 1
     figure.get_by_role("button", name="reset zoom").click()
-    assert report.evaluate(texts) == before
-    path = [
-        np.array(re.findall(r"[\d.]+", each or ""), dtype=float).reshape(-1, 2)
-        for each in (first, curve.get_attribute("d"))
-    ]
-    again = np.interp(path[0][:, 0], *path[1].T)
-    assert np.abs(again - path[0][:, 1]).max() < 0.11
-
-
-def test_all_ticks_are_python_s(browser: Any, folder: Path) -> None:
-    """Logarithmic ones as well: the script has the same rules."""
-    texts = "[...document.querySelectorAll('.ticks')].map(each => [...each.children].map(text => text.textContent).join(' '))"
-    for name in ("comparison", "workprec"):
-        page = browser.new_page(viewport={"width": 1200, "height": 900})
-        page.goto(f"file://{folder / name}.html")
-        before = page.evaluate(texts)
-        for chart in page.locator("svg.chart").all():
-            chart.press("+")
-            chart.press("0")
-        assert page.evaluate(texts) == before
-        page.close()
+    assert report.evaluate(LIMITS) == before
+    chart = figure.locator(".chart")
+    for key in ("+", "ArrowRight", "0"):
+        chart.press(key)
+    assert report.evaluate(LIMITS) == before
+    assert values_in(figure)
 
 
 def test_the_legend_hides_a_curve(report: Any) -> None:
     """And shows it again."""
-    figure = chart_of(report, "Tip deflections")
-    key, curve = (figure.locator(f".{name}[data-label='link 2']") for name in ("key", "curve"))
-    assert curve.is_visible()
+    key = chart_of(report, "Tip deflections").get_by_role("button", name="link 2")
+    hidden = "page.charts.find(each => each.key === 'deflections').panels[0].curves.map(each => !!each.off)"
+    assert report.evaluate(hidden) == [False, False]
     key.click()
-    assert not curve.is_visible()
+    assert report.evaluate(hidden) == [False, True]
     key.click()
-    assert curve.is_visible()
+    assert report.evaluate(hidden) == [False, False]
 
 
 def test_the_mechanism_moves(report: Any, run: Run) -> None:
-    """The slider's instant and magnification: the end effector is at the rigid position plus the magnified deviation."""
+    """The slider's instant and magnification: the end effector is at the rigid position plus the magnified deviation, within the axes."""
     figure, robot = chart_of(report, "Scene"), bent_robot(run)
-    axes = [float(each) for each in (figure.locator(".panel").get_attribute("data-axes") or "").split()]
     set_to = "(input, value) => { input.value = value; input.dispatchEvent(new Event('input')); }"
-    time, deflection = figure.locator("input").all()
+    place = """() => { const panel = page.charts[0].panels[0], { motion, shown } = panel, ends = [motion.extent('x'), motion.extent('y')];
+      return [motion.at(motion.frame, motion.count - 1), ends, [shown.x, shown.y]]; }"""
+    time, deflection = figure.locator(".controls input").all()
     for frame, power in ((0, 0.0), (100, 2.0), (robot.time.size - 1, 1.0)):
         time.evaluate(set_to, frame)
         deflection.evaluate(set_to, power)
-        x, y = robot.rigid[frame, -1] + 10.0**power * robot.deviation[frame, -1]
-        end = figure.locator("svg g[clip-path] circle")
-        left = axes[2] + (x - axes[0]) / (axes[1] - axes[0]) * (axes[3] - axes[2])
-        down = axes[7] + (y - axes[5]) / (axes[6] - axes[5]) * (axes[8] - axes[7])
-        assert float(end.get_attribute("cx") or 0.0) == pytest.approx(left, abs=0.06)
-        assert float(end.get_attribute("cy") or 0.0) == pytest.approx(down, abs=0.06)
-        assert f"{1e3 * robot.time[frame]:.0f} ms" in figure.locator("output").first.inner_text()
+        end, extents, shown = report.evaluate(place)
+        np.testing.assert_allclose(end, robot.rigid[frame, -1] + 10.0**power * robot.deviation[frame, -1], rtol=1e-6)
+        for (low, high), (first, last) in zip(extents, shown, strict=True):
+            assert first < low < high < last
+        assert f"{1e3 * robot.time[frame]:.0f} ms" in figure.locator(".controls output").first.inner_text()
     # it plays
     time.evaluate(set_to, 0)
     figure.get_by_role("button", name="play").click()
     while int(time.input_value()) == 0:
         report.wait_for_timeout(50.0)
+    figure.get_by_role("button", name="pause").click()
+
+
+@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing(name: str, scheme: str, browser: Any, folder: Path) -> None:
+    """No page violates a rule of accessibility that axe knows, in both colour schemes."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe
+    context = browser.new_context(color_scheme=scheme, bypass_csp=True)
+    page = context.new_page()
+    page.goto(f"file://{folder / name}.html")
+    found = axe().run(page).response["violations"]
+    assert [(each["id"], each["nodes"][0]["html"][:200]) for each in found] == []
+    context.close()

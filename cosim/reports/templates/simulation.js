@@ -1,0 +1,355 @@
+// A run in the page: the module has robot, blocks and master (flexfmu.cosim.exchange.live); here are the motion's points and the metrics.
+const decoded = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+// doubles, of which equal bytes lie together
+const doubles = (text) => {
+  const bytes = decoded(text), count = bytes.length / 8, all = new Uint8Array(bytes.length);
+  for (let i = 0; i < count; i++) for (let k = 0; k < 8; k++) all[8 * i + k] = bytes[k * count + i];
+  return new Float64Array(all.buffer);
+};
+const unpacked = async (text) => {
+  const stream = new Blob([decoded(text)]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return JSON.parse(await new Response(stream).text());
+};
+const ENDS = 5, ORDERS = 10, FACTORIALS = Array.from({ length: ORDERS }, (_, k) => { let f = 1; while (k > 1) f *= k--; return f; });
+
+class Simulation {
+  static async load(text) {
+    const facts = await unpacked(text);
+    const { instance } = await WebAssembly.instantiate(decoded(facts.module));
+    return new Simulation(facts, instance.exports);
+  }
+
+  constructor(facts, exports) {
+    Object.assign(this, { facts, exports, memory: exports.memory });
+    exports._initialize();
+    this.kept = new Map();
+    this.callbacks = exports.wasm_callbacks();
+    this.guid = this.text(facts.model.guid);
+    this.label = this.text("plant");
+    const { grid } = facts, times = doubles(grid.times), knots = doubles(grid.knots), knotJets = doubles(grid.knot_jets), axes = knotJets.length / knots.length / 7;
+    this.axes = axes;
+    // limits of positions, velocities and accelerations, [point][order][kind and axis], and back
+    const limits = (jets) => {
+      const count = jets.length / (7 * axes), all = new Float64Array(count * ENDS * 3 * axes);
+      for (let n = 0, at = 0; n < count; n++) for (let k = 0; k < ENDS; k++) for (let kind = 0; kind < 3; kind++) for (let a = 0; a < axes; a++)
+        all[at++] = jets[(n * 7 + k + kind) * axes + a];
+      return all;
+    };
+    const known = limits(knotJets), row = ENDS * 3 * axes;
+    this.joints = { times: knots, begins: known, polynomials: this.polynomials(knots, known, known, 3 * axes, doubles(grid.knot_scales)) };
+    // what the page evaluates, and the differences of its bits from the run's
+    const exact = (text, at, isLeft) => {
+      const found = new Float64Array(row), jets = new Float64Array(at.length * 7 * axes), bits = new BigInt64Array(jets.buffer), differences = new BigInt64Array(doubles(text).buffer);
+      at.forEach((time, n) => {
+        this.evaluate(this.joints, time, isLeft, found);
+        for (let k = 0; k < 7; k++) for (let a = 0; a < axes; a++) { const kind = Math.max(k - 4, 0); jets[(n * 7 + k) * axes + a] = found[((k - kind) * 3 + kind) * axes + a]; }
+      });
+      differences.forEach((each, i) => (bits[i] += each));
+      return limits(jets);
+    };
+    const begins = exact(grid.jets, times, false), ends = begins.slice(), left = exact(grid.before, grid.jumps.map((n) => times[n]), true);
+    grid.jumps.forEach((n, i) => ends.set(left.subarray(i * row, (i + 1) * row), n * row));
+    const flags = { marked: decoded(grid.marked), due: grid.due.map(decoded) };
+    this.usual = { times, begins, ends, ...flags, polynomials: this.polynomials(times, begins, ends, 3 * axes, doubles(grid.scales)) };
+    const task = doubles(facts.task.times), path = doubles(facts.task.jets);
+    this.task = { times: task, begins: path, polynomials: this.polynomials(task, path, path, 2) };
+    this.analysis = Object.fromEntries(Object.entries(facts.analysis).map(([m, { control, highest, quadratures }]) => {
+      const put = (text) => this.put(doubles(text));
+      const quadrature = ([weights, ...others]) => ({ points: doubles(weights).length, tables: [weights, ...others].map(put) });
+      return [m, { control: put(control), highest: put(highest), quadratures: Object.fromEntries(Object.entries(quadratures).map(([k, all]) => [k, quadrature(all)])) }];
+    }));
+  }
+
+  // memory of the module
+  allocate(size) {
+    return this.exports.malloc(size + 8);
+  }
+  // memory that is kept under a name from run to run, and grows
+  area(name, size) {
+    const known = this.kept.get(name);
+    if (known && known.size >= size) return known.address;
+    if (known) this.exports.free(known.address);
+    const address = this.allocate(1.5 * size);
+    this.kept.set(name, { address, size: 1.5 * size });
+    return address;
+  }
+  view(Type, address, count) {
+    return new Type(this.memory.buffer, address, count);
+  }
+  put(values, name) {
+    const address = name ? this.area(name, values.byteLength) : this.allocate(values.byteLength);
+    this.view(values.constructor, address, values.length).set(values);
+    return address;
+  }
+  text(value) {
+    return this.put(new TextEncoder().encode(`${value}\0`));
+  }
+
+  polynomials(times, begins, ends, variables, scales) {
+    const steps = times.length - 1;
+    if (!scales) {
+      scales = new Float64Array(ORDERS * steps);
+      for (let n = 0; n < steps; n++) for (let k = 0, power = 1; k < ORDERS; k++, power *= times[n + 1] - times[n]) scales[n * ORDERS + k] = power / FACTORIALS[k];
+    }
+    const found = this.area("polynomials", 8 * ORDERS * variables * (steps + 1));
+    this.exports.live_hermite(steps, variables, this.put(begins, "begins"), this.put(ends, "ends"), this.put(scales, "scales"), found);
+    const all = this.view(Float64Array, found, ORDERS * variables * (steps + 1)).slice(), row = ORDERS * variables;
+    all.fill(0, steps * row);
+    all.set(begins.subarray(steps * ENDS * variables), steps * row);
+    return all;
+  }
+
+  // derivatives to order 4 of a table at a time, [order][variable]; at a jump from the left or the right
+  evaluate({ times, begins, polynomials }, time, isLeft, found, at = 0) {
+    const variables = begins.length / times.length / ENDS, last = times.length - 1;
+    let low = 0, high = last;
+    while (low < high) {
+      const middle = (low + high + 1) >> 1;
+      if (isLeft ? times[middle] < time : times[middle] <= time) low = middle; else high = middle - 1;
+    }
+    const h = low === last ? 0 : time - times[low];
+    for (let v = 0; v < variables; v++) for (let order = 0; order < ENDS; order++) {
+      let sum = 0;
+      for (let k = ORDERS - 1; k >= order; k--) sum = sum * (h / (k - order + 1)) + polynomials[(low * ORDERS + k) * variables + v];
+      found[at + order * variables + v] = low === last && order ? 0 : sum;
+    }
+  }
+
+  // communication points for another step, duration or sample times: ticks, breakpoints and sample instants
+  grid({ step, stretch }) {
+    const { facts, joints, axes } = this, { duration, clocks, breakpoints } = facts, end = duration * stretch, stop = end + (facts.stop - duration), near = 1e-6 * step;
+    const marks = breakpoints.map((t) => t * stretch), points = [0, stop, ...marks.filter((t) => t > 0 && t < stop - near)], due = [];
+    for (const [time, offset] of clocks) {
+      const all = [];
+      for (let k = 0; offset + k * time < stop + near; k++) all.push(offset + k * time);
+      due.push(all);
+      points.push(...all);
+    }
+    for (let n = 1; n * step < stop - near; n++) points.push(n * step);
+    points.sort((a, b) => a - b);
+    const times = Float64Array.from(points.filter((t, i) => !i || t - points[i - 1] > near));
+    const flagged = (list) => {
+      const flags = new Uint8Array(times.length);
+      let i = 0;
+      for (const t of list) { while (i < times.length && times[i] < t - near) i++; if (i < times.length) flags[i] = 1; }
+      return flags;
+    };
+    const flags = due.map(flagged), marked = flagged([0, ...marks, stop]);
+    flags.forEach((each) => each.forEach((flag, i) => (marked[i] |= flag)));
+    // the references, whose time is stretched
+    const variables = 3 * axes, row = ENDS * variables, begins = new Float64Array(times.length * row), ends = new Float64Array(times.length * row);
+    const own = (t) => (t < end - near ? t / stretch : duration + Math.max(t - end, 0));
+    const factors = Array.from({ length: row }, (_, i) => stretch ** -(Math.floor(i / variables) + Math.floor((i % variables) / axes)));
+    times.forEach((t, n) => {
+      const snapped = breakpoints.find((each) => Math.abs(each * stretch - t) <= near) ?? own(t);
+      this.evaluate(joints, snapped, false, begins, n * row);
+      this.evaluate(joints, snapped, true, ends, n * row);
+      for (let i = 0; i < row; i++) { begins[n * row + i] *= factors[i]; ends[n * row + i] *= factors[i]; }
+    });
+    return { times, marked, due: flags, begins, ends, polynomials: this.polynomials(times, begins, ends, variables) };
+  }
+
+  // an instance of the robot with start values by name
+  created(starts) {
+    const { exports, facts } = this, component = exports.fmi2Instantiate(this.label, 1, this.guid, 0, this.callbacks, 0, 0);
+    if (!component) throw new Error(this.message);
+    const reference = this.area("reference", 4), value = this.area("value", 8);
+    for (const [name, number] of Object.entries(starts)) {
+      const variable = facts.model.variables[name], isReal = variable.type === "Real";
+      this.view(Uint32Array, reference, 1)[0] = variable.reference;
+      this.view(isReal ? Float64Array : Int32Array, value, 1)[0] = number;
+      this.checked(exports[`fmi2Set${variable.type}`](component, reference, 1, value));
+    }
+    return component;
+  }
+  checked(status) {
+    if (status > 1) throw new Error(this.message);
+  }
+  get message() {
+    const bytes = new Uint8Array(this.memory.buffer, this.exports.wasm_message(), 1024);
+    return new TextDecoder().decode(bytes.slice(0, bytes.indexOf(0)));
+  }
+  initialized(component) {
+    this.checked(this.exports.fmi2EnterInitializationMode(component));
+    this.checked(this.exports.fmi2ExitInitializationMode(component));
+  }
+
+  /** Simulates with `parameters` of robot and blocks; `tolerance`, `step` and `stretch` of the duration where they differ. */
+  run({ parameters = {}, tolerance = this.facts.tolerance, step = this.facts.step, stretch = 1 } = {}) {
+    const { facts, exports } = this, isUsual = step === facts.step && stretch === 1;
+    const key = `${step} ${stretch}`;
+    if (this.known?.key !== key) this.known = { key, ...(isUsual ? this.usual : this.grid({ step, stretch })) };
+    const grid = this.known, count = grid.times.length, capacity = count + grid.marked.reduce((sum, each) => sum + each, 1) + 1;
+    // tables of the points
+    const announced = this.put(grid.polynomials, "announced"), ended = this.put(grid.ends, "ended"), times = this.put(grid.times, "times");
+    const marked = this.put(grid.marked, "marked"), due = grid.due.map((each, i) => this.put(each, `due${i}`)), instants = this.put(new Uint8Array(count).fill(1), "instants");
+    const width = facts.channels.reduce((sum, [, n]) => sum + n, 1), rows = this.area("rows", 8 * width * capacity);
+    // the image, with parameters of blocks, relocated
+    this.image ??= decoded(facts.image);
+    const base = this.put(this.image, "image"), words = (place) => this.view(Uint32Array, base + place, 1);
+    for (const place of facts.addresses) words(place)[0] += base;
+    for (const [place, number] of facts.functions) words(place)[0] = exports.live_function(number);
+    for (const [place, name, offset, row, isStart] of facts.tables) words(place)[0] = (name === "announced" ? announced : ended) + offset - (isStart ? row : 0);
+    for (const [place, clock, isStart] of facts.due) words(place)[0] = due[clock] - (isStart ? 1 : 0);
+    const starts = { ...facts.starts };
+    for (const [name, value] of Object.entries(parameters)) {
+      if (name in facts.blocks) this.view(Float64Array, base + facts.blocks[name], 1)[0] = value; else starts[name] = value;
+    }
+    // the program, and that of initialisation, whose only step has no length
+    const program = this.area("program", 4 * 12), progress = this.area("progress", 16), channels = this.area("channels", 12 * facts.channels.length), active = this.area("active", 4);
+    let at = rows + 8 * capacity;
+    facts.channels.forEach(([place, n], i) => { this.view(Uint32Array, channels + 12 * i, 3).set([base + place, at, n]); at += 8 * n * capacity; });
+    const go = (lists, points, when) => {
+      const [[advance, n], [exchange, m]] = lists;
+      this.view(Uint32Array, program, 12).set([base + advance, base + exchange, n, m, channels, facts.channels.length, capacity, ...when, rows, active]);
+      if (exports.master_run(program, points, progress)) throw new Error(this.message || "a signal is not a number");
+    };
+    const first = [this.put(Float64Array.of(0, 0), "first"), this.put(Uint8Array.of(1, 1), "jump"), this.put(Uint8Array.of(0, 0), "unrecorded")];
+    const recorded = this.put(Uint8Array.of(1, 1), "recorded"), stop = grid.times[count - 1];
+    let component = 0, records = 0;
+    const started = performance.now();
+    facts.script.forEach((part, i) => {
+      const isLast = i === facts.script.length - 1;
+      if (part === "create") {
+        component = this.created(starts);
+        words(facts.handle)[0] = component;
+        this.checked(exports.fmi2SetupExperiment(component, 1, tolerance, 0, 1, stop));
+      } else if (part === "initialize") this.initialized(component);
+      else {
+        this.view(Uint32Array, progress, 4).set([0, records, 0, 0]);
+        go([[0, 0], part], 1, isLast ? [first[0], first[1], recorded] : first);
+        records = this.view(Uint32Array, progress, 4)[1];
+      }
+    });
+    let failure = "";
+    this.view(Uint32Array, progress, 4).set([0, records, 0, 0]);
+    try { go([facts.advance, facts.exchange], count - 1, [times, marked, instants]); } catch (error) { failure = error.message; }
+    const elapsed = performance.now() - started, size = this.view(Uint32Array, progress, 4)[1];
+    exports.fmi2FreeInstance(component);
+    const all = this.view(Float64Array, rows, width * capacity).slice();
+    const rest = this.restAt(starts);
+    return new Result(this, { all, capacity, size, elapsed, failure, stretch, rest });
+  }
+
+  // where the end effector rests at the end of the motion
+  restAt(starts) {
+    const { facts, exports } = this;
+    const component = this.created({ ...starts, ...facts.rest, initial: facts.static });
+    try {
+      this.checked(exports.fmi2SetupExperiment(component, 0, 0, 0, 1, 1));
+      this.initialized(component);
+      const references = ["x", "y"].map((axis) => facts.model.variables[`end_effector.position.${axis}`].reference);
+      const found = this.area("rest", 16);
+      this.checked(exports.fmi2GetReal(component, this.put(Uint32Array.from(references), "references"), 2, found));
+      return this.view(Float64Array, found, 2).slice();
+    } finally { exports.fmi2FreeInstance(component); }
+  }
+}
+
+// what a run has recorded, and what it is worth
+class Result {
+  constructor(simulation, found) {
+    Object.assign(this, found, { simulation });
+    this.duration = simulation.facts.duration * this.stretch;
+    this.time = this.row(0);
+  }
+  row(k) {
+    return this.all.subarray(k * this.capacity, k * this.capacity + this.size);
+  }
+  /** A signal, or its derivative, by its name in results.csv. */
+  signal(name, order = 0) {
+    const known = this.simulation.facts.rows[name];
+    if (!known) return undefined;
+    return known[1].length > order ? this.row(known[1][order]) : new Float64Array(this.size);
+  }
+  // the instants at which segments from a time to a time begin, the same for all runs over one grid
+  chosen(from, to) {
+    const { time, size, simulation } = this, known = simulation.known, key = `${size} ${from} ${to}`;
+    const found = (known.chosen ??= {});
+    if (!found[key]) {
+      const all = [];
+      for (let i = 0; i + 1 < size; i++) if (time[i + 1] > time[i]) { const middle = 0.5 * (time[i] + time[i + 1]); if (middle > from && middle < to) all.push(i); }
+      found[key] = { places: Int32Array.from(all), duration: Float64Array.from(all, (i) => time[i + 1] - time[i]), start: Float64Array.from(all, (i) => time[i]) };
+    }
+    return found[key];
+  }
+  // derivatives at both ends of the segments, less those of something else
+  segments(names, orders, from, to, offset) {
+    const { places, duration, start } = this.chosen(from, to), n = places.length, c = names.length, left = new Float64Array(orders * n * c), right = new Float64Array(orders * n * c);
+    for (let k = 0; k < orders; k++) for (let channel = 0; channel < c; channel++) {
+      const name = names[channel], values = k < 3 ? this.signal(name, k) : this.signal(name.replace("position", "acceleration"), k - 2);
+      for (let s = 0, at = k * n * c + channel; s < n; s++, at += c) { const i = places[s]; left[at] = values[i]; right[at] = values[i + 1]; }
+      if (offset) for (let s = 0, at = k * n * c + channel; s < n; s++, at += c) { const i = places[s]; left[at] -= offset(i, k, channel); right[at] -= offset(i + 1, k, channel); }
+    }
+    return { n, c, orders, left, right, duration, start };
+  }
+  // the rigid robot's end effector at all instants, [instant][order][axis]; the first of two equal instants is the left limit
+  get rigid() {
+    const { simulation, stretch, duration, time, size } = this, { task } = simulation, row = 2 * ENDS;
+    const key = `${simulation.known.key} ${size}`;
+    if (simulation.rigid?.key === key) return simulation.rigid.all;
+    const all = new Float64Array(size * row), last = task.times[task.times.length - 1], near = 1e-9 * duration;
+    for (let i = 0; i < size; i++) {
+      const isLeft = i + 1 < size && time[i] === time[i + 1], isIn = time[i] < duration - near || (isLeft && time[i] <= duration + near);
+      simulation.evaluate(task, isIn ? Math.min(time[i] / stretch, last) : last + 1, isLeft, all, i * row);
+      if (stretch !== 1) for (let k = 0; k < row; k++) all[i * row + k] *= stretch ** -(k >> 1);
+    }
+    simulation.rigid = { key, all };
+    return all;
+  }
+  analysed({ n, c, orders, left, right, duration }) {
+    const { simulation } = this, { control, highest, quadratures } = simulation.analysis[orders];
+    const area = (name, size) => simulation.area(`metrics ${name}`, size), put = (values, name) => simulation.put(values, `metrics ${name}`);
+    const numbers = [put(duration, "duration"), put(left, "left"), put(right, "right"), control, highest, area("terms", 16 * orders * n * c)];
+    const signal = area("signal", 64), result = area("result", 64);
+    const later = ["ends", "bounds", "errors"].map((name) => area(name, 8 * n));
+    const words = [n, c, orders, n * c, n * c, ...numbers, ...later, area("jumps", 8 * c * (n + 1)), area("kept", 4 * n)];
+    simulation.view(Uint32Array, signal, 16).set(words);
+    simulation.exports.metrics_prepare(signal);
+    const total = duration.reduce((sum, each) => sum + each, 0);
+    return {
+      peak: () => (simulation.exports.metrics_peak(signal, result), simulation.view(Float64Array, result, 1)[0]),
+      rms: (order) => {
+        const { points, tables } = quadratures[order], quadrature = area("quadrature", 24);
+        simulation.view(Uint32Array, quadrature, 6).set([points, order, ...tables]);
+        simulation.exports.metrics_products(signal, quadrature, result);
+        return Math.sqrt(simulation.view(Float64Array, result, 1)[0] / total);
+      },
+      lastAbove: (level) => {
+        const segment = area("segment", 4), theta = area("theta", 8);
+        if (!simulation.exports.metrics_last_above(signal, level, segment, theta)) return null;
+        return [simulation.view(Uint32Array, segment, 1)[0], simulation.view(Float64Array, theta, 1)[0]];
+      },
+    };
+  }
+  /** The metrics by name, as `summary.json` has them. */
+  get metrics() {
+    return (this.measured ??= this.measure());
+  }
+  measure() {
+    const { duration, rest, size } = this, { band } = this.simulation.facts, found = {};
+    const POSITION = ["end_effector.position.x", "end_effector.position.y"], { rigid } = this, off = (i, k, channel) => rigid[2 * (i * ENDS + k) + channel];
+    const over = (name, m, from = 0, to = duration) => this.analysed(this.segments([name], m, from, to));
+    for (const j of [1, 2]) found[`peak_torque_${j}`] = over(`joint${j}.torque`, 3).peak();
+    for (const j of [1, 2]) if (this.signal(`link${j}1.tip_deflection`)) found[`peak_tip_deflection_${j}`] = over(`link${j}1.tip_deflection`, 3).peak();
+    for (const j of [1, 2]) if (this.signal(`joint${j}.position`) && this.signal(`joint${j}.reference.position`)) {
+      const { time } = this, error = this.signal(`joint${j}.position`).map((q, i) => q - this.signal(`joint${j}.reference.position`)[i]);
+      let sum = 0;
+      for (let i = 1; i < size && time[i] <= duration + 1e-9; i++) sum += 0.5 * (time[i] - time[i - 1]) * (error[i] ** 2 + error[i - 1] ** 2);
+      found[`rms_tracking_error_${j}`] = Math.sqrt(sum / duration);
+    }
+    found.peak_position_error = this.analysed(this.segments(POSITION, 5, 0, Infinity, off)).peak();
+    const motion = this.segments(POSITION, 5, 0, duration, off), s = motion.n - 1;
+    found.rms_acceleration_error = this.analysed(motion).rms(2);
+    found.end_position_error = Math.hypot(motion.right[2 * s], motion.right[2 * s + 1]);
+    const dwell = this.segments(POSITION, 5, duration, Infinity, (i, k, channel) => (k ? 0 : rest[channel]));
+    if (dwell.n) {
+      const vibration = this.analysed(dwell);
+      found.residual_vibration_amplitude = vibration.peak();
+      const last = vibration.lastAbove(band), at = last && dwell.start[last[0]] + last[1] * dwell.duration[last[0]];
+      found.settling_time = last ? (at < this.time[size - 1] ? at - dwell.start[0] : null) : 0;
+    }
+    return found;
+  }
+}
+globalThis.Simulation = Simulation;

@@ -1,0 +1,208 @@
+"""A run in the page: the module's bits are the run's, in Node and in Chromium; sliders draw it anew; what can't be simulated is said."""
+
+from __future__ import annotations
+
+import base64
+import json
+import shutil
+import subprocess
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import flexfmu
+from flexfmu.cosim.exchange.live import live_run
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.metrics.metrics import measure_run
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+
+pytestmark = pytest.mark.slow
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+LARGEST_PAGE = 1_000_000
+
+SCRIPT = """
+const { readFileSync } = await import("node:fs"), vm = await import("node:vm");
+vm.runInThisContext(readFileSync(process.argv[2], "utf8"));
+const simulation = await Simulation.load(readFileSync(process.argv[3], "utf8")), asked = JSON.parse(process.argv[4]);
+const bytes = (values) => Buffer.from(Float64Array.from(values).buffer).toString("base64");
+const found = asked.map((options) => {
+  const run = simulation.run(options), signals = {};
+  for (const [name, [, rows]] of Object.entries(simulation.facts.rows)) signals[name] = rows.map((_, order) => bytes(run.signal(name, order)));
+  return { time: bytes(run.time), signals, metrics: run.metrics, failure: run.failure };
+});
+console.log(JSON.stringify(found));
+"""
+
+
+def stiction() -> Scene:
+    """The paper's robot under a PD law, with friction that sticks."""
+    friction = {"kind": "stiction", "coulomb": 2.0, "breakaway": 3.0, "viscous": 0.5}
+    controller = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3}
+    changes = {"cosimulation.drive": "torque", "effects.joint_friction": friction, "effects.motor_inertia": 0.1}
+    return load_scene("barnard2012-6kg").replace({**changes, "controller": [controller]})
+
+
+SCENES: dict[str, Any] = {
+    "barnard2012-6kg": "barnard2012-6kg",
+    "barnard2012-0.1kg": "barnard2012-0.1kg",
+    "starter": "starter",
+    "loop": EXAMPLES / "controller_scene.toml",
+    "stiction": None,
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def zig() -> None:
+    """Skips where nothing compiles to WebAssembly."""
+    pytest.importorskip("ziglang")
+
+
+def simulated(run: Run, folder: Path, *asked: dict[str, Any]) -> list[dict[str, Any]]:
+    """Runs in Node, with these options of ``Simulation.run``."""
+    node = pytest.importorskip("playwright._impl._driver").compute_driver_executable()[0]
+    live = live_run(run)
+    assert live.reason == ""
+    for name, text in (("run.mjs", SCRIPT), ("packed", live.packed())):
+        (folder / name).write_text(text)
+    simulation = files("flexfmu.cosim.reports") / "templates" / "simulation.js"
+    command = [node, folder / "run.mjs", str(simulation), folder / "packed", json.dumps(asked)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    found: list[dict[str, Any]] = json.loads(done.stdout)
+    assert [each["failure"] for each in found] == [""] * len(asked)
+    return found
+
+
+def numbers(text: str) -> Any:
+    return np.frombuffer(base64.b64decode(text))
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_node_gives_the_bits_of_the_run(name: str, tmp_path: Path) -> None:
+    """All signals with their derivatives, of all shipped scenes, a loop with encoder and lag, and friction that sticks; so do the metrics."""
+    run = flexfmu.run(SCENES[name] or stiction())
+    (found,) = simulated(run, tmp_path, {})
+    assert numbers(found["time"]).tobytes() == run.recording.time.tobytes()
+    for signal, orders in found["signals"].items():
+        column = run.recording[signal]
+        for order, text in enumerate(orders):
+            expected = (column.values, column.first, column.second)[order]
+            assert expected is not None
+            np.testing.assert_array_equal(numbers(text), expected, err_msg=f"{signal} {order}")
+    own = measure_run(run, 0)
+    for metric, value in found["metrics"].items():
+        # a tracking error is integrated by the trapezoidal rule there
+        expected = own[metric].value
+        assert (value is None) == (expected is None)
+        assert value is None or value == pytest.approx(expected, rel=1e-3 if "tracking" in metric else 1e-9), metric
+
+
+def test_sliders_are_runs_with_other_parameters(tmp_path: Path) -> None:
+    """A payload, a gain, a duration, a step: what `flexfmu run --set` gives, to the accuracy of a motion that is planned anew."""
+    scene = load_scene("barnard2012-6kg")
+    asked = {"parameters": {"payload.mass": 4.0}}, {"stretch": 1.25}, {"step": 1e-4, "tolerance": 1e-7}
+    changed = (
+        {"payload.mass": 4.0},
+        {"trajectory.duration": 0.43 * 1.25},
+        {"cosimulation.step": 1e-4, "cosimulation.tolerance": 1e-7},
+    )
+    for found, changes in zip(simulated(flexfmu.run(scene), tmp_path, *asked), changed, strict=True):
+        expected = measure_run(flexfmu.run(scene.replace(changes)), 0)
+        for name, value in found["metrics"].items():
+            assert value == pytest.approx(expected[name].value, rel=2e-7), (name, changes)
+    loop = stiction()
+    gains = {"parameters": {f"pd.joint{i}.proportional_gain": 2e4 for i in (1, 2)}}
+    (found,) = simulated(flexfmu.run(loop), tmp_path, gains)
+    expected = measure_run(flexfmu.run(loop.replace({"controller.pd.proportional": 2e4})), 0)
+    assert found["metrics"]["peak_torque_1"] == pytest.approx(expected["peak_torque_1"].value, rel=1e-9)
+
+
+def test_what_stays_as_recorded_is_said() -> None:
+    """A controller in Python, and steps that are controlled; the page says which."""
+
+    class Mine:
+        name, sample_time = "mine", 1e-3
+
+    scene = load_scene("barnard2012-6kg").replace({"cosimulation.step_control": {"tolerance": 1e-4}})
+    run = flexfmu.run(scene)
+    assert live_run(run).reason == "its communication steps are controlled"
+    assert "This page can&#39;t simulate" in run.live().html or "can't simulate" in run.live().html
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """One browser for all tests."""
+    program = shutil.which("chromium")
+    if program is None:
+        pytest.skip("needs chromium")
+    with pytest.importorskip("playwright.sync_api").sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=program, args=["--headless", "--no-sandbox", "--disable-gpu"]
+        )
+        yield browser
+        browser.close()
+
+
+@pytest.mark.parametrize("name", ["barnard2012-6kg", "loop"])
+def test_a_page_simulates(name: str, browser: Any, tmp_path: Path) -> None:
+    """From file://: bits of the recording, figures that follow a slider, its state in the address, and the command; below 1 MB, without errors or requests, on a phone too."""
+    run = flexfmu.run(SCENES[name])
+    path = run.live_report(tmp_path / "x.html")
+    assert path.stat().st_size < LARGEST_PAGE
+    page, problems = browser.new_page(viewport={"width": 1400, "height": 900}), list[str]()
+    page.on("console", lambda message: problems.append(message.text))
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.on("request", lambda request: problems.append(request.url))
+    page.goto(f"file://{path}")
+    page.locator("#live.ready").wait_for()
+    shown = page.evaluate("Array.from(page.live.usual.signal('joint1.torque', 1))")
+    np.testing.assert_array_equal(shown, run.recording["joint1.torque"].first)
+    # a slider
+    tile, before = page.locator("[data-metric=peak_torque_1]"), page.locator("[data-metric=peak_torque_1]").inner_text()
+    slider = page.get_by_label("payload.mass")
+    slider.fill("-0.4")
+    page.wait_for_timeout(800.0)
+    assert tile.inner_text() != before
+    mass = float(page.url.partition("#payload.mass=")[2])
+    own = run.parameters.get("payload.mass", run.scene.payload.mass)
+    assert mass == pytest.approx(own * 3.0**-0.4, rel=1e-3)
+    page.get_by_role("button", name="copy as command").click()
+    if name == "barnard2012-6kg":
+        assert page.locator(".command").inner_text() == f"flexfmu run {name} --set 'payload.mass={mass:g}'"
+        expected = measure_run(flexfmu.run(run.scene.replace({"payload.mass": mass})), 0)["peak_torque_1"].value
+        assert float(tile.inner_text().split()[0]) == pytest.approx(expected, rel=1e-4)
+    # the same state by the address, then back; on a phone
+    address = page.url
+    page.goto("about:blank")
+    page.goto(address)
+    page.locator("#live.ready").wait_for()
+    page.wait_for_timeout(500.0)
+    assert tile.inner_text() != before
+    page.get_by_role("button", name="as recorded").click()
+    page.wait_for_timeout(300.0)
+    assert tile.inner_text() == before
+    page.set_viewport_size({"width": 390, "height": 800})
+    page.wait_for_timeout(100.0)
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    assert {each.partition("#")[0] for each in problems} <= {f"file://{path}", "about:blank"}
+    page.close()
+
+
+def test_a_live_page_is_accessible(browser: Any, tmp_path: Path) -> None:
+    """Nothing that axe knows, in both colour schemes."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe
+    path = flexfmu.run("barnard2012-6kg").live_report(tmp_path / "x.html")
+    for scheme in ("light", "dark"):
+        context = browser.new_context(color_scheme=scheme, bypass_csp=True)
+        page = context.new_page()
+        page.goto(f"file://{path}")
+        page.locator("#live.ready").wait_for()
+        found = axe().run(page).response["violations"]
+        assert [(each["id"], each["nodes"][0]["html"][:200]) for each in found] == []
+        context.close()
