@@ -43,6 +43,7 @@ from flexfmu.cosim.design.identification.spectra import as_spectrum, delay_of_re
 from flexfmu.cosim.design.response.response import FrequencyResponse
 from flexfmu.cosim.engine.errors import DataWarning, InputError, suggestion
 from flexfmu.cosim.engine.fmu.file import open_fmu
+from flexfmu.cosim.engine.fmu.variables import settings
 from flexfmu.cosim.engine.measured import Log, Mapped, TimedValues, estimate_delay
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
@@ -310,7 +311,13 @@ def free_parameters(
 
 
 def _of_variable(parameter: FreeParameter, variable: Any) -> FreeParameter:
-    """A parameter with the unit of an FMU's variable, and within its limits."""
+    """A parameter with the unit of an FMU's variable, and within its limits.
+
+    Raises:
+        InputError: a first value that was given isn't.
+    """
+    if -parameter.low == parameter.high == math.inf:
+        settings({parameter.name: variable}, {parameter.name: parameter.start})
     low = parameter.low if variable.min is None else max(parameter.low, float(variable.min))
     high = parameter.high if variable.max is None else min(parameter.high, float(variable.max))
     start = min(max(parameter.start, low), high)
@@ -833,10 +840,11 @@ def _check_likeness(experiment: Experiment, run: Recording, delay: float, name: 
                 f'unit, --map "{each.name.partition("/")[0]}={each.name.partition("/")[0]}*1e-3" for example'
             )
         if correlation < HARDLY and experiment.scene is not None and each.part is None:
-            sign = " with the opposite sign" if correlation < -HARDLY else ""
+            at_once = float(np.corrcoef(values, each.simulated(run, 0.0)[0])[0, 1])
+            sign = ", and the sign" if min(correlation, at_once) < -HARDLY else ""
             raise InputError(
                 f"{experiment.name}: {each.name} has a correlation of {correlation:.2g} with that of {name}: is it a log of this robot and this "
-                f"motion? Check columns, units and first values{sign and ', and the sign'}"
+                f"motion? Check columns, units and first values{sign}"
             )
 
 
