@@ -1,6 +1,6 @@
 """What `flexfmu plan` reaches: total time, power, RMS torque and energy, residual vibration over the payload band, and the time it takes.
 
-python benchmarks/planned_motions.py [--json] [--robust] [--method NAME ...] [--damping RATIO] [--limit NAME=VALUE ...] [--cycle] [SCENE ...]
+python benchmarks/planned_motions.py [--json] [--robust] [--method NAME ...] [--damping RATIO] [--limit NAME=VALUE ...] [--cycle] [--front FIGURES] [SCENE ...]
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ def main() -> None:
     parser.add_argument(
         "--limit", action="append", default=[], help="limits as of flexfmu plan, power=free for example"
     )
+    parser.add_argument("--front", help="figures as of flexfmu plan, time,power for example")
     parser.add_argument("--cycle", action="store_true", help="with an empty return and pauses of 0.1 s")
     parser.add_argument("--out", type=Path, help="folder for the planned scenes")
     options = parser.parse_args()
@@ -41,7 +42,9 @@ def main() -> None:
         scene = load_scene(name)
         if options.damping is not None:
             scene = scene.replace({"effects.damping": {"kind": "modal", "ratio": options.damping}})
-        scene = with_wishes(scene, {"cycle.pause": 0.1} if options.cycle else {}, options.limit)
+        wishes: dict[str, Any] = {"cycle.pause": 0.1} if options.cycle else {}
+        wishes |= {"front": options.front.split(",")} if options.front else {}
+        scene = with_wishes(scene, wishes, options.limit)
         result = planned(scene, tuple(options.method or METHODS), robust=options.robust)
         found.append(summary(result))
         if options.out is not None:
@@ -91,7 +94,8 @@ def show(result: PlanResult) -> None:
         figures: dict[str, Any] = row
         print(
             f"    {figures['motion'][:50]:50} {figures['time']:.4f} s {1e6 * figures['residual']:8.3f} um "
-            f"torque {figures['torque_ratio']:.3f} off {1e3 * figures['off_path']:.2f} mm {'' if figures['feasible'] else 'not within limits'}"
+            f"torque {figures['torque_ratio']:.3f} RMS {figures['rms_torque']:.4g} N.m power {figures['power']:.4g} W "
+            f"energy {figures['energy']:.4g} J jerk {figures['jerk']:.4g} rad/s3 off {1e3 * figures['off_path']:.2f} mm {'' if figures['feasible'] else 'not within limits'}"
         )
     for line in result.robustness:
         print(f"  {line.model:40} {1e6 * line.residual:8.3f} um {line.where:24} {', '.join(line.missed)} {line.note}")

@@ -630,6 +630,7 @@ def plan(
     corridor: float | None = None,
     return_payload: Annotated[float | None, typer.Option(min=0.0)] = None,
     pause: Annotated[float | None, typer.Option(min=0.0)] = None,
+    front: str | None = None,
     method: list[str] | None = None,
     candidate: list[Path] | None = None,
     budget: Annotated[float | None, typer.Option(min=0.0)] = None,
@@ -671,6 +672,8 @@ def plan(
         return_payload (KG): Plan a cycle: the way back too, with this payload, 0 for an empty return. RMS torques and energy are limited over
             the cycle. Default: the scene's, or a single motion.
         pause (SECONDS): Plan a cycle that rests so long at each place. Default: the scene's, or 0.1 in a cycle.
+        front (FIGURES): Also the front of two or three figures, time,power for example, by optimal control: time, residual, energy, power,
+            rms_torque, jerk, with what is minimised among them. Default: the scene's, or the front of all motions found.
         method (NAME): search, flexible or optimal; may be repeated. Default: all.
         candidate (FILE.csv): A motion of your own, of joints or end effector, to compare; may be repeated.
             Default: none.
@@ -701,7 +704,7 @@ def plan(
     wishes: dict[str, Any] = {
         "minimise": minimise, "duration": duration, "residual": residual, "payload_band": band,
         "stiffness_band": stiffness_band, "damping_band": damping_band, "margin": margin, "corridor": corridor, "seed": seed,
-        "cycle.return_payload": return_payload, "cycle.pause": pause,
+        "cycle.return_payload": return_payload, "cycle.pause": pause, "front": None if front is None else front.split(","),
     }  # fmt: skip
     bands = {} if identified is None else Identification.read(identified).plan_bands(robot)
     robot = with_wishes(robot, bands | {key: value for key, value in wishes.items() if value is not None}, limit or [])

@@ -211,7 +211,7 @@ class _Matrices:
     ) -> None:
         self.values, self._duration = values, duration
         (count, _, n), h = v.shape, 1.0 / steps
-        self._shape = shape = (count, steps, 3, n)
+        self._shape = (count, steps, 3, n)
         by_stage = jacobian.reshape(count, steps, 3, n + 4, 3 * n + 6)
         by_q, by_v, by_a = (by_stage[..., i * n : (i + 1) * n] / duration**i for i in range(3))
         # d[forces, outputs] of stage i by z of stage j, and by the state at the start of the step
@@ -223,18 +223,13 @@ class _Matrices:
         by_z = by_z.reshape(count, steps, 3, n + 4, 3 * n)
         self._inverse = np.linalg.inv(by_z[:, :, :, :n].reshape(count, steps, 3 * n, 3 * n))
         self._of_state = by_state[:, :, :, :n].reshape(count, steps, 3 * n, 2 * n)
-        self._out_z = by_z[:, :, :, n:].reshape(count, steps, 12, 3 * n)
-        self._out_state = by_state[:, :, :, n:].reshape(count, steps, 12, 2 * n)
         # from stage values to the next state, and from state to state
         weights = np.stack([h * h * METHOD.twice[2], h * METHOD.matrix[2]])
         inverse = self._inverse.reshape(count, steps, 3, n * 3 * n)
         self._next = (weights @ inverse).reshape(count, steps, 2 * n, 3 * n)
         self._transition = np.kron(np.array([[1.0, h], [0.0, 1.0]]), np.eye(n)) - self._next @ self._of_state
-        # by the references, and by T at constant z
-        self._by_u = by_stage[..., 3 * n :]
-        explicit = by_stage[..., n : 2 * n] @ v.reshape(shape)[..., np.newaxis]
-        explicit += 2 * (by_stage[..., 2 * n : 3 * n] @ a.reshape(shape)[..., np.newaxis])
-        self._by_duration = -explicit[..., 0] / duration
+        # of the outputs and by the references, which derivatives alone need
+        self._by_z, self._by_state, self._by_stage, self._v, self._a = by_z, by_state, by_stage, v, a
 
     def solved(self, loads: RealArray) -> RealArray:
         """z (P, N, n) under loads on the stages of the same shape, from rest."""
@@ -251,15 +246,20 @@ class _Matrices:
             by_duration: whether the last variable is T.
         """
         count, steps, _, n = self._shape
-        explicit = self._by_u @ by.reshape(1, steps, 3, 6, -1)
+        by_stage, out_z = self._by_stage, self._by_z[:, :, :, n:].reshape(count, steps, 12, 3 * n)
+        out_state = self._by_state[:, :, :, n:].reshape(count, steps, 12, 2 * n)
+        explicit = by_stage[..., 3 * n :] @ by.reshape(1, steps, 3, 6, -1)
         if by_duration:
-            explicit[..., -1] += self._by_duration
+            # at constant z
+            of_rates = by_stage[..., n : 2 * n] @ self._v.reshape(self._shape)[..., np.newaxis]
+            of_rates += 2 * (by_stage[..., 2 * n : 3 * n] @ self._a.reshape(self._shape)[..., np.newaxis])
+            explicit[..., -1] -= of_rates[..., 0] / self._duration
         m = explicit.shape[-1]
         loads = -explicit[..., :n, :].reshape(count, steps, 3 * n, m)
         states = self._states(self._next @ loads)
         # outputs: z eliminated
-        through = self._out_z @ self._inverse
-        out = through @ loads + (self._out_state - through @ self._of_state) @ states[:, :-1]
+        through = out_z @ self._inverse
+        out = through @ loads + (out_state - through @ self._of_state) @ states[:, :-1]
         out = out.reshape(count, steps, 3, 4, m) + explicit[..., n:, :]
         end = states[:, -1].reshape(count, 2, n, m).copy()
         end[:, 1] /= self._duration

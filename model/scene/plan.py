@@ -15,6 +15,10 @@ Aim = Literal["time", "torque", "rms_torque", "energy", "residual"]
 """What a plan minimises."""
 
 
+FrontAxis = Literal["time", "residual", "energy", "power", "rms_torque", "jerk"]
+"""A figure that a front weighs against others."""
+
+
 class Ratio(Section):
     """A limit as a multiple of what the given motion needs."""
 
@@ -198,7 +202,20 @@ class PlanSection(Section):
     corridor: Annotated[float, quantity("m", ge=0.0)] = 0.01
     keep_out: Annotated[tuple[Region, ...] | None, BeforeValidator(as_tuple)] = None
     limits: PlanLimits = PlanLimits()
+    front: Annotated[tuple[FrontAxis, ...], BeforeValidator(as_tuple)] = ()
     seed: int = 0
+
+    @model_validator(mode="after")
+    def _front_has_what_is_minimised(self) -> Self:
+        axes = self.front
+        if axes and (len({*axes}) != len(axes) or not 2 <= len(axes) <= 3):
+            raise ValueError(f"`front` is two or three different figures, got {list(axes)}")
+        if axes and (self.minimise == "residual" or self.minimise not in axes):
+            raise ValueError(
+                f'`front` = {list(axes)} needs what is minimised, `minimise = "{self.minimise}"`, among its figures: time, or with a '
+                f"`duration` energy or rms_torque"
+            )
+        return self
 
     @model_validator(mode="after")
     def _duration_goes_with_its_aim(self) -> Self:

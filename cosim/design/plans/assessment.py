@@ -179,6 +179,7 @@ FIGURES: Mapping[str, tuple[str, str]] = {
     "regenerated_power": ("Largest power that flows back from both motors", "W"),
     "energy": ("Largest energy of a run", "J"),
     "off_path": ("Largest distance from the given path", "m"),
+    "jerk": ("Largest jerk of a joint's references", "rad/s3"),
     "clearance": ("Smallest distance to the keep-out region", "m"),
 }
 """Figure of an assessment → label and SI unit."""
@@ -246,6 +247,11 @@ class Assessment:
     def off_path(self) -> float:
         """Largest distance of the end effector from the given path [m]."""
         return max(each.off_path[0] for each in self.peaks)
+
+    @property
+    def jerk(self) -> float:
+        """Largest jerk of a joint's references [rad/s³]."""
+        return self.references[2]
 
     @property
     def clearance(self) -> float:
@@ -449,7 +455,7 @@ class Judge:
             where = f"{instant:.4g} s, {nearest.variation}"
             yield Limit("clearance", wishes.margin, "m", rounding=MET).used(max(-distance, 0.0), where)
         for limit in self.goals.limits.values():
-            rows = _needs(limit.figure, found, given)
+            rows = needs(limit.figure, found, given)
             value, where = max((need / usual if limit.is_relative else need, where) for need, usual, where in rows)
             yield limit.used(value, where)
         if wishes.duration is not None:
@@ -515,7 +521,7 @@ def _both_powers(recording: Recording, joints: Trajectory) -> tuple[float, float
     return into, out
 
 
-def _needs(figure: str, found: Assessment, given: Assessment) -> Iterator[tuple[float, float, str]]:
+def needs(figure: str, found: Assessment, given: Assessment) -> Iterator[tuple[float, float, str]]:
     """What a motion and the given one need of a figure, for each robot and joint, and where."""
     if figure in RATES:
         k = RATES.index(figure)

@@ -39,6 +39,10 @@ UNITS: Mapping[str, str] = {
 RATES = ("speed", "acceleration", "jerk")
 """Limits of the joint references, by the order of the derivative."""
 
+FALLING = {"torque": 0.5, "speed": 1.0, "acceleration": 0.5, "jerk": 1.0 / 3.0, "power": 1.0 / 3.0, "rms_torque": 0.5,
+    "energy": 0.5, "supply_power": 1.0 / 3.0, "regenerated_power": 1.0 / 3.0, "residual": 0.1}  # fmt: skip
+"""How the time scales with the use of a limit; the residual vibration falls faster, and only slows a motion down, by and by."""
+
 MET = 1e-5
 """Relative excess over a limit that counts as rounding."""
 

@@ -8,17 +8,19 @@ On the given path the end effector of the flexible robot makes the given motion.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
+from functools import partial
+from itertools import chain, product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.code import CompiledAtPoints
-from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, cases_of
-from flexfmu.cosim.design.plans.goals import RATES, Goals, Variation
+from flexfmu.cosim.design.limits import Limit
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, cases_of, needs
+from flexfmu.cosim.design.plans.goals import FALLING, RATES, Goals, Variation
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.planning import plan_rigid
@@ -76,6 +78,9 @@ CORRECTED_FOR, USED = 16, 0.99
 """Payloads of the correction on the given path, of which fewer are overfitted, and share of each limit that is used: the correction
 meets limits to half a percent, and the given torques vary between payloads."""
 
+Robots = list[list[RobotVariant]]
+"""Robots of a way, by scene."""
+
 Optimum = tuple[list[tuple[list[tuple[float, float]], float, int]], float] | None
 Corrected = tuple[list[tuple[float, float]], float, int, str]
 """What a journal has of motions: each spline's coefficients, duration and degree, with their worst violation (None where there is no
@@ -95,53 +100,156 @@ def optimal(
     if np.hypot(*(goals.trace[-1] - goals.trace[0])) < RETURN:
         raise InputError("optimal control plans a motion from one place to another, and this one ends where it starts")
     motions, nodes = _ways(goals)
-    tight_ways, tight_loads = _limited(goals, found[0], motions)
-    judge, wishes, given = Judge(goals, PAYLOADS[0], journal), goals.wishes, found[0].time
-    pauses = sum(each.pause or 0.0 for each in goals.ways)
-    shares = STARTS if wishes.duration is None else ((wishes.duration - pauses) / (given - pauses),)
-    for share in shares:
-        ways, loads = tight_ways, tight_loads
-        ways = [replace(way, start=way.start.with_duration(share * way.start.duration)) for way in ways]
+    tight_ways, loads = _limited(goals, found[0], motions)
+    attempt, judge = partial(_attempt, goals, nodes, show, journal), Judge(goals, PAYLOADS[0], journal)
+    for share in _shares(goals, found[0]):
+        ways = _from_share(tight_ways, share)
         loose, tried, is_first = optimal_control.LOOSE, False, True
         for number in range(TRIES):
-
-            def best(
-                ways: Sequence[optimal_control.Way] = ways, loads: Mapping[str, RealArray] = loads, loose: float = loose
-            ) -> Any:
-                last: optimal_control.Improvement | None = None
-                try:
-                    for last in optimal_control.optimal_motion(ways, loads, nodes, loose=loose, aim=wishes.minimise):
-                        time = pauses + sum(each.duration for each in last.motions)
-                        show(f"optimal control over the bands: {time:.4g} s", None)
-                except EquilibriumError:
-                    # too fast for the links: a slower start may do
-                    return None
-                return last and ([(*vars(each).values(),) for each in last.motions], max(last.violations.values()))
-
-            found_motions = journal.kept(("optimal", share, number), Optimum, best)
-            if found_motions is None or found_motions[-1] >= NEARLY:
+            splines = attempt(("optimal", share, number), ways, loads, loose)
+            if splines is None:
                 break
-            splines = [JointSpline(np.array(coefficients), *more) for coefficients, *more in found_motions[0]]
-            time = pauses + sum(each.duration for each in splines)
-            aim = "robust" if wishes.minimise == "time" else wishes.minimise
+            time = sum(each.duration for each in splines) + sum(each.pause or 0.0 for each in goals.ways)
+            aim = "robust" if goals.wishes.minimise == "time" else goals.wishes.minimise
             tried, candidate = True, _candidate(goals, f"optimal control, {aim}, {time:.4g} s", splines)
             yield candidate
             judged = judge.assess(candidate)
             excess = excesses(judged)
             if judged.feasible:
                 # what it leaves of the limits is given back once
-                excess, is_first = reserves(judged) if is_first and wishes.duration is None else {}, False
+                excess, is_first = reserves(judged) if is_first and goals.wishes.duration is None else {}, False
             if not excess:
-                return
+                break
             # what the FMU finds beyond the limits is taken off them, from this motion on
-            slower = SLOWER if max(excess.values()) > SLOWER and wishes.duration is None else 1.0
-            ways = [
-                replace(way, limits=tightened(way.limits, excess), start=each.with_duration(slower * each.duration))
-                for way, each in zip(ways, splines, strict=True)
-            ]
-            loads, loose = {name: each / excess.get(name, 1.0) for name, each in loads.items()}, 0.0
+            slower = SLOWER if max(excess.values()) > SLOWER and goals.wishes.duration is None else 1.0
+            ways, loads = _from_motions(ways, loads, excess, splines, slower)
+            loose = 0.0
         if tried:
+            break
+    if goals.wishes.front:
+        yield from _front(goals, found[0], motions, attempt, judge)
+
+
+FRONT_TO: Mapping[str, float] = {"power": 0.35, "rms_torque": 0.6, "energy": 0.5, "jerk": 0.25, "residual": 0.01}
+"""Levels of a front down to this share of what the motion without that limit needs."""
+
+NEAR_FRONT = 0.1
+"""Violation of the limits up to which a motion of a front is given to the FMU to judge."""
+
+LEVELS, LIFTED, LOOSER = (10, 4), 1e3, 10.0
+"""Numbers of levels of fronts of two figures and of three, the factor of a limit that isn't one, and that of the largest residual."""
+
+
+def _front(
+    goals: Goals,
+    given: Assessment,
+    motions: Sequence[tuple[Robots, NDArray[np.intp]]],
+    attempt: Callable[..., list[JointSpline] | None],
+    judge: Judge,
+) -> Iterator[Candidate]:
+    """What is minimised for many levels of the front's other figures, each from the motion of the level before."""
+    axes: list[str] = [each for each in goals.wishes.front if each != goals.wishes.minimise]
+    own = {name: Limit(name, 1.0, "1", is_relative=True) for name in axes if name != "residual"}
+    unit_ways, unit_loads = _limited(replace(goals, limits={**goals.limits, **own}), given, motions)
+    natural = {name: LOOSER if name == "residual" else LIFTED for name in axes}
+    levels = [np.geomspace(1.0, FRONT_TO[name], LEVELS[len(axes) - 1]).tolist() for name in axes]
+    # forth and back, so that neighbours follow each other
+    grid = [(first, *more) for k, first in enumerate(levels[0]) for more in list(product(*levels[1:]))[:: (-1) ** k]]
+    splines, before = list[JointSpline](), dict[str, float]()
+    for number, shares in enumerate(grid):
+        factors = {name: natural[name] * share for name, share in zip(axes, shares, strict=True)}
+        excess = {name: 1.0 / factor for name, factor in factors.items()}
+        for again in range(2):
+            if splines:
+                slower = max(((before[name] / each) ** FALLING[name] for name, each in factors.items()), default=1.0)
+                slower = 1.0 if again or goals.wishes.duration is not None else max(slower, 0.9)
+                ways, loads = _from_motions(unit_ways, unit_loads, excess, splines, slower)
+                next_splines = attempt(("front", number, again), ways, loads, 0.0, NEAR_FRONT)
+            else:
+                wide = [replace(way, limits=tightened(way.limits, excess)) for way in unit_ways]
+                loads = {name: each / excess.get(name, 1.0) for name, each in unit_loads.items()}
+                tries = (
+                    attempt(("front", number, share), _from_share(wide, share), loads, optimal_control.LOOSE)
+                    for share in _shares(goals, given)
+                )
+                next_splines = next((each for each in tries if each is not None), None)
+            if next_splines is None:
+                break
+            splines, before = next_splines, factors
+            limited = ", ".join(f"{name} {100.0 * share:.3g} %" for name, share in zip(axes, shares, strict=True))
+            candidate = _candidate(goals, f"front: {limited}", splines)
+            yield candidate
+            judged = judge.assess(candidate)
+            beyond = {name: each for name, each in excesses(judged).items() if name not in axes}
+            if not beyond:
+                break
+            excess |= beyond
+        if not splines:
             return
+        if number == 0:
+            # what the motion needs without these limits
+            needed = {name: max(need / usual for need, usual, _ in needs(name, judged, judge.given)) for name in own}
+            natural |= needed
+            before = {**before, **needed}
+
+
+def _shares(goals: Goals, given: Assessment) -> tuple[float, ...]:
+    """Durations of first motions, relative to those of the given ones."""
+    if goals.wishes.duration is None:
+        return STARTS
+    pauses = sum(each.pause or 0.0 for each in goals.ways)
+    return ((goals.wishes.duration - pauses) / (given.time - pauses),)
+
+
+def _from_share(ways: Sequence[optimal_control.Way], share: float) -> list[optimal_control.Way]:
+    """The ways from faster first motions on."""
+    return [replace(way, start=way.start.with_duration(share * way.start.duration)) for way in ways]
+
+
+def _from_motions(
+    ways: Sequence[optimal_control.Way],
+    loads: Mapping[str, RealArray],
+    excess: Mapping[str, float],
+    splines: Sequence[JointSpline],
+    slower: float,
+) -> tuple[list[optimal_control.Way], dict[str, RealArray]]:
+    """The ways with tighter limits, from known motions on."""
+    tight = [
+        replace(way, limits=tightened(way.limits, excess), start=each.with_duration(slower * each.duration))
+        for way, each in zip(ways, splines, strict=True)
+    ]
+    return tight, {name: each / excess.get(name, 1.0) for name, each in loads.items()}
+
+
+def _attempt(
+    goals: Goals,
+    nodes: Sequence[int],
+    show: ShowProgress,
+    journal: WorkJournal,
+    key: tuple[Any, ...],
+    ways: Sequence[optimal_control.Way],
+    loads: Mapping[str, RealArray],
+    loose: float,
+    near: float = NEARLY,
+) -> list[JointSpline] | None:
+    """The best motions, from the journal or by optimal control; None if there are none whose violations are below a largest one."""
+
+    def best() -> Any:
+        last: optimal_control.Improvement | None = None
+        pauses = sum(each.pause or 0.0 for each in goals.ways)
+        try:
+            for last in optimal_control.optimal_motion(ways, loads, nodes, loose=loose, aim=goals.wishes.minimise):
+                time = pauses + sum(each.duration for each in last.motions)
+                show(f"optimal control over the bands: {time:.4g} s", None)
+        except EquilibriumError:
+            # too fast for the links: a slower start may do
+            return None
+        return last and ([(*vars(each).values(),) for each in last.motions], max(last.violations.values()))
+
+    found = journal.kept(key, Optimum, best)
+    if found is None or found[-1] >= near:
+        return None
+    return [JointSpline(np.array(coefficients), *more) for coefficients, *more in found[0]]
 
 
 def _candidate(goals: Goals, label: str, splines: Sequence[JointSpline]) -> Candidate:
@@ -151,10 +259,6 @@ def _candidate(goals: Goals, label: str, splines: Sequence[JointSpline]) -> Cand
         for each, spline in zip(goals.ways or (goals,), splines, strict=True)
     ]
     return replace(parts[0], ways=tuple(parts)) if goals.ways else parts[0]
-
-
-Robots = list[list[RobotVariant]]
-"""Robots of a way, by scene."""
 
 
 def _ways(goals: Goals) -> tuple[list[tuple[Robots, NDArray[np.intp]]], list[int]]:

@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 import tomlkit
 
-from flexfmu.cosim.design.plans.assessment import INSTANTS, Assessment
+from flexfmu.cosim.design.plans.assessment import FIGURES, INSTANTS, Assessment
 from flexfmu.cosim.design.plans.clearance import Clearance
 from flexfmu.cosim.design.plans.goals import Goals
-from flexfmu.cosim.design.plans.planner import FRONT, PlanResult
+from flexfmu.cosim.design.plans.planner import DRAWN, FRONT, MORE, PlanResult
 from flexfmu.cosim.design.scene_files import toml_item
 from flexfmu.cosim.engine.files import OutputFolder, write_whole
+from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, Curve, Marker, Panel
@@ -138,7 +139,7 @@ def summary(result: PlanResult) -> dict[str, Any]:
             "motion": each.candidate.label,
             "method": each.candidate.method,
             **{name: float(getattr(each, name)) for name in FRONT},
-            **{name: float(getattr(each, name)) for name in ("rms_torque", "power", "supply_power", "regenerated_power")},
+            **{name: float(getattr(each, name)) for name in (*MORE, "supply_power", "regenerated_power")},
             "clearance": float(each.clearance) if np.isfinite(each.clearance) else None,
             "feasible": each.feasible,
             "limits": [
@@ -271,12 +272,21 @@ def front_table(result: PlanResult) -> Table:
     rows = [
         [
             each.candidate.label, each.candidate.method, f"{each.time:.4g}", f"{1e6 * each.residual:.3g}", f"{each.torque:.4g}",
-            f"{each.rms_torque:.4g}", f"{each.power:.4g}", f"{each.energy:.4g}", f"{1e3 * each.off_path:.3g}", standing(result, each),
+            f"{each.rms_torque:.4g}", f"{each.power:.4g}", f"{each.energy:.4g}", f"{each.jerk:.4g}", f"{1e3 * each.off_path:.3g}", standing(result, each),
         ]
         for each in result.table
     ]  # fmt: skip
-    units = ["Time [s]", "Residual [µm]", "Torque [N·m]", "RMS [N·m]", "Power [W]", "Energy [J]", "Off path [mm]"]
-    note = "No other motion found beats one of these in every figure."
+    units = [
+        "Time [s]",
+        "Residual [µm]",
+        "Torque [N·m]",
+        "RMS [N·m]",
+        "Power [W]",
+        "Energy [J]",
+        "Jerk [rad/s³]",
+        "Off path [mm]",
+    ]
+    note = f"No other motion found beats one of these in every figure of {', '.join(result.axes)}."
     if len(result.table) > len(result.front):
         note = "Motions that no other one beats in every figure, and for comparison those of other planners and files."
     return Table("Pareto front", ["Motion", "Method", *units, "Limits"], rows, note)
@@ -307,24 +317,32 @@ def robustness_table(result: PlanResult) -> Table:
 
 
 def _front_plot(result: PlanResult) -> Plot:
-    """Residual, torque and distance from the path of the front, over time."""
-    figures = {
-        "residual\n[µm]": [max(1e6 * each.residual, LEAST) for each in result.table],
-        "torque\n[N·m]": [each.torque for each in result.table],
-        "off path\n[mm]": [1e3 * each.off_path for each in result.table],
-    }
+    """The other figures of the front over its first one."""
+    along, *names_drawn = result.axes
+    figures = dict[str, list[float]]()
+    for name in names_drawn:
+        factor, unit = DRAWN.get(name, (1.0, shown_unit(FIGURES[name][1])))
+        values = [factor * getattr(each, name) for each in result.table]
+        figures[f"{name.replace('_', ' ')}\n[{unit}]"] = (
+            [max(each, LEAST) for each in values] if name == "residual" else values
+        )
     panels, names = list[Panel](), {id(result.given): "given", id(result.chosen): "chosen"}
     for label, values in figures.items():
         curves = []
         for group, colour in (("limits kept", PALETTE[0]), ("limits missed", PALETTE[1])):
             places = [k for k, each in enumerate(result.table) if each.feasible == (group == "limits kept")]
             if places:
-                x, y = np.array([result.table[k].time for k in places]), np.array([values[k] for k in places])
+                x, y = (
+                    np.array([getattr(result.table[k], along) for k in places]),
+                    np.array([values[k] for k in places]),
+                )
                 notes = [f"{result.table[k].candidate.label}: {standing(result, result.table[k])}" for k in places]
                 curves.append(Curve(x, y, group, colour, width=0.0, dot="disc", notes=notes))
         # discs about the given and the chosen motion, with their names in the first panel
         markers = [
-            Marker(each.time, value, 11.0, INK, 0.25, text="" if panels else names[id(each)], offset=(9.0, 3.0))
+            Marker(
+                getattr(each, along), value, 11.0, INK, 0.25, text="" if panels else names[id(each)], offset=(9.0, 3.0)
+            )
             for each, value in zip(result.table, values, strict=True)
             if id(each) in names
         ]
@@ -332,7 +350,14 @@ def _front_plot(result: PlanResult) -> Plot:
         panel = Panel(label=label, curves=curves, markers=markers, is_function=False, logarithmic=scale, level=level)
         panels.append(panel)
     caption = "The motions of the table. Dashed: the limit of the residual vibration."
-    return Plot("front", "Pareto front", caption, tuple(panels), "total time [s]", 330.0)
+    return Plot(
+        "front",
+        "Pareto front",
+        caption,
+        tuple(panels),
+        f"{along.replace('_', ' ')} [{shown_unit(FIGURES[along][1])}]",
+        330.0,
+    )
 
 
 def _path_plot(goals: Goals, runs: Sequence[Run], way: str = "") -> Plot:

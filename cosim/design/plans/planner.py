@@ -45,6 +45,9 @@ SCREENED, JUDGED = 7, 25
 FRONT = ("time", "residual", "torque", "energy", "off_path")
 """Figures that the Pareto front weighs against each other."""
 
+MORE = ("rms_torque", "power", "jerk")
+"""Further figures of tables."""
+
 DRAWN: Mapping[str, tuple[float, str]] = {"residual": (1e6, "µm"), "off_path": (1e3, "mm")}
 """Figures that diagrams have in another unit: factor and unit."""
 
@@ -55,7 +58,7 @@ MANY = 20.0
 """Ratio of the largest to the smallest value from which on a diagram is logarithmic."""
 
 ALIKE = 1e-3
-"""Relative difference of all figures of `FRONT` below which the front has one of two motions."""
+"""Relative difference of all figures of a front below which the front has one of two motions."""
 
 NO_SAG = 1e-12
 """Sag [m] below which an undeformed start is at rest."""
@@ -122,20 +125,27 @@ class PlanResult(Rows):
         )
 
     @property
+    def axes(self) -> tuple[str, ...]:
+        """The figures that the front weighs: those of the wishes, the time first, or `FRONT`."""
+        return tuple(sorted(self.goals.wishes.front, key=lambda each: each != "time")) or FRONT
+
+    @property
     def front(self) -> tuple[Assessment, ...]:
-        """The candidates, the given motion included, of which no other is better in every figure of `FRONT`; the fastest first.
+        """The candidates, the given motion included, of which no other is better in every figure of `axes`; the fastest first.
 
         A motion that misses a limit isn't better than one that keeps all. The chosen motion is always there.
         """
         others = [each for each in self.assessed if each.candidate is not self.chosen.candidate]
         everyone = [*([] if self.chosen is self.given else [self.chosen]), self.given, *others]
         best = [
-            each for each in everyone if each is self.chosen or not any(_dominates(other, each) for other in everyone)
+            each
+            for each in everyone
+            if each is self.chosen or not any(_dominates(other, each, self.axes) for other in everyone)
         ]
         # the chosen one first, so that none like it replaces it
         kept = list[Assessment]()
         for each in sorted(best, key=lambda each: (each is not self.chosen, each.time)):
-            pairs = ([(getattr(each, name), getattr(other, name)) for name in FRONT] for other in kept)
+            pairs = ([(getattr(each, name), getattr(other, name)) for name in self.axes] for other in kept)
             if not any(all(math.isclose(*pair, rel_tol=ALIKE) for pair in of_both) for of_both in pairs):
                 kept.append(each)
         return tuple(sorted(kept, key=lambda each: each.time))
@@ -169,32 +179,37 @@ class PlanResult(Rows):
 
     def row_units(self) -> Mapping[str, str]:
         """Figure → unit."""
-        return {name: FIGURES[name][1] for name in (*FRONT, "rms_torque", "power")}
+        return {name: FIGURES[name][1] for name in (*FRONT, *MORE)}
 
     def plot(self) -> Figure:
-        """What all motions need: each figure over the motion's time; those that miss a limit are hollow."""
+        """What all motions need: each figure of the front over its first one; those that miss a limit are hollow."""
         from flexfmu.cosim.reports.figure_style import INK, draw, logarithmic, style
 
-        names = [name for name in FRONT if name != "time"]
+        along, *names = self.axes
         groups = [
             (self.assessed, "o", 3.5, INK, None),
             ((self.given,), "s", 7.0, "#1f8a5f", "given"),
             ((self.chosen,), "D", 7.0, "#c7394f", "chosen"),
         ]
         with style():
-            figure = draw(9.0, 5.6)
-            for axes, name in zip(figure.subplots(2, 2, sharex=True).ravel(), names, strict=True):
+            rows = (len(names) + 1) // 2
+            figure = draw(9.0, 2.8 * max(rows, 1.5))
+            grid = figure.subplots(rows, min(len(names), 2), sharex=True, squeeze=False).ravel()
+            for axes, name in zip(grid, names, strict=True):
                 factor, unit = DRAWN.get(name, (1.0, shown_unit(FIGURES[name][1])))
                 for group, sign, size, colour, label in groups:
                     for each in group:
-                        place, face = (each.time, factor * getattr(each, name)), colour if each.feasible else "none"
+                        place, face = (
+                            (getattr(each, along), factor * getattr(each, name)),
+                            colour if each.feasible else "none",
+                        )
                         axes.plot(*place, sign, markersize=size, color=colour, markerfacecolor=face, label=label)
                 values = [getattr(each, name) for each in (*self.assessed, self.given)]
                 if max(values) > MANY * min(values) > 0.0:
                     logarithmic(axes)
                 axes.set_title(f"{FIGURES[name][0]} [{unit}]", fontsize=8.5)
-            for axes in figure.axes[2:]:
-                axes.set_xlabel("time [s]")
+            for axes in grid[-2:]:
+                axes.set_xlabel(f"{along.replace('_', ' ')} [{shown_unit(FIGURES[along][1])}]")
             figure.axes[0].legend(fontsize=8)
             figure.suptitle(f"{self.goals.scene.name}: motions that were tried; hollow: misses a limit", fontsize=10)
         return figure
@@ -205,7 +220,7 @@ class PlanResult(Rows):
             {
                 "motion": each.candidate.label,
                 "method": each.candidate.method,
-                **{name: float(getattr(each, name)) for name in (*FRONT, "rms_torque", "power")},
+                **{name: float(getattr(each, name)) for name in (*FRONT, *MORE)},
                 "torque_ratio": float(each.torque_ratio),
                 "feasible": each.feasible,
             }
@@ -314,11 +329,11 @@ def _note_failure(failures: list[str], what: str, error: Exception) -> None:
     failures.append(f"{what}: {error}")
 
 
-def _dominates(one: Assessment, other: Assessment) -> bool:
+def _dominates(one: Assessment, other: Assessment, axes: Sequence[str]) -> bool:
     """Whether one is at least as good in every figure, and better in one; what misses a limit doesn't dominate what keeps all."""
     if other.feasible and not one.feasible:
         return False
-    pairs = [(getattr(one, name), getattr(other, name)) for name in FRONT]
+    pairs = [(getattr(one, name), getattr(other, name)) for name in axes]
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from flexfmu.cosim.design.plans.designs import Design, MotionFamily, Space, references
+from flexfmu.cosim.design.plans.goals import FALLING
 from flexfmu.cosim.design.plans.quick_runs import CLEARANCE, INSIDE, WORTH, Bounds, QuickRobot, Score
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.model.scene.schema import Scene
@@ -43,12 +44,8 @@ GOOD, GROWTH, SHRINKAGE = 0.5, 2.0, 0.35
 CORRECTIONS = 4
 """How often the time of a motion is corrected until its limits hold."""
 
-POWERS = {"torque": 0.5, "speed": 1.0, "acceleration": 0.5, "jerk": 1.0 / 3.0, "power": 1.0 / 3.0, "rms_torque": 0.5,
-    "energy": 0.5, "supply_power": 1.0 / 3.0, "regenerated_power": 1.0 / 3.0}  # fmt: skip
-"""How the time scales with the use of a limit."""
-
-RESIDUAL, MOST = 0.1, 1.5
-"""The same of the residual vibration, which falls faster, and the largest ratio of a correction."""
+MOST = 1.5
+"""The largest ratio of a correction."""
 
 FrontMember = tuple[float, float, Design]
 """Time [s] and residual vibration [m] of a motion within limits, and the motion."""
@@ -143,11 +140,8 @@ def first_iterate(study: MotionStudy, family: MotionFamily, start: RealArray, ti
 def _stretch(found: Score, tighter: Mapping[str, float]) -> float:
     """Ratio of durations by which the limits would just hold."""
     uses = {name: use * tighter.get(name, 1.0) for name, use in found.uses.items()}
-    ratios = [max(uses[name], 1e-9) ** power for name, power in POWERS.items() if uses.get(name, 0.0) > 0.0]
-    ratio = max(ratios, default=1.0)
-    # residual vibration only slows a motion down, by and by
-    if uses.get("residual", 0.0) > 1.0:
-        ratio = max(ratio, uses["residual"] ** RESIDUAL)
+    counts = {name for name, use in uses.items() if use > (1.0 if name == "residual" else 0.0)}
+    ratio = max((max(uses[name], 1e-9) ** FALLING[name] for name in FALLING.keys() & counts), default=1.0)
     return float(np.clip(ratio, 1.0 / MOST, MOST))
 
 

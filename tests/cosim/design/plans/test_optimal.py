@@ -25,7 +25,9 @@ from flexfmu.cosim.design.plans.planner import PlanResult, plan_scene
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.many.journal import FILE, WorkJournal, about_scene
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.joint_spline import fitted
 from flexfmu.model.reference_design.optimal_control import GROUPS, Improvement, Way
+from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.statics import static_equilibrium
 
@@ -170,6 +172,35 @@ def test_both_ways_of_a_cycle_keep_its_limits_in_the_fmu(tmp_path: Path, monkeyp
     assert 4000.0 * result.chosen.time - 1.0 < len(table.torque) < 4000.0 * result.chosen.time + 2.0
     assert np.abs(np.diff(table.values[0], axis=0)).max() < 1e-3 * np.ptp(table.values[0]) + 0.01
     assert table.values[0, -1] == pytest.approx(table.values[0, 0], abs=1e-9)
+
+
+@pytest.mark.slow
+def test_a_front_beats_the_fastest_motion_slowed_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For each level of power, judged by the FMU, a motion that keeps to it is faster than the fastest one, slowed down until it does."""
+    monkeypatch.setattr(method, "INTERVALS", 20)
+    monkeypatch.setattr(method, "fuller_scene", lambda scene: None)
+    monkeypatch.setattr(method, "LEVELS", (4, 2))
+    wishes = {
+        "plan.cycle": None,
+        "plan.keep_out": [],
+        "plan.limits.rms_torque": "free",
+        "plan.front": ["power", "time"],
+    }
+    result = plan_scene(CYCLE.replace(wishes), methods=["optimal"], robust=False)
+    assert result.axes == ("time", "power")
+    points = [
+        each
+        for each in result.assessed
+        if each.candidate.label.startswith("front") and all(use.met for use in each.uses if use.figure != "power")
+    ]
+    assert len(points) >= 3
+    assert points[0].candidate.trajectory is not None
+    first, judge = fitted(points[0].candidate.trajectory, 20), Judge(result.goals, 7)
+    for each in points[1:]:
+        slower = first.with_duration(each.time).trajectory()
+        assert each.power < 0.97 * judge.assess(Candidate("slowed", "csv", result.goals.scene, slower)).power
+    with pytest.raises(SceneError, match="needs what is minimised"):
+        CYCLE.replace({"plan.front": ["power", "jerk"]})
 
 
 def test_a_cycle_goes_to_its_targets_and_back() -> None:
