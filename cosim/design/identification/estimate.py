@@ -76,6 +76,7 @@ class FreeParameter:
         start: first value.
         low, high: bounds.
         prior: mean and standard deviation of what is known beforehand; None for nothing.
+        drawn: between which other first values are drawn.
         experiment: number of the one that it belongs to alone, as where the robot stands first; None for a parameter of the model.
     """
 
@@ -85,6 +86,7 @@ class FreeParameter:
     low: float = -inf
     high: float = inf
     prior: tuple[float, float] | None = None
+    drawn: tuple[float, float] = (0.0, 0.0)
     experiment: int | None = None
 
     @property

@@ -320,8 +320,8 @@ def _of_variable(parameter: FreeParameter, variable: Any) -> FreeParameter:
         settings({parameter.name: variable}, {parameter.name: parameter.start})
     low = parameter.low if variable.min is None else max(parameter.low, float(variable.min))
     high = parameter.high if variable.max is None else min(parameter.high, float(variable.max))
-    start = min(max(parameter.start, low), high)
-    return replace(parameter, unit=variable.unit or "1", start=start, low=low, high=high)
+    start, *drawn = np.clip([parameter.start, *parameter.drawn], low, high).tolist()
+    return replace(parameter, unit=variable.unit or "1", start=start, low=low, high=high, drawn=tuple(drawn))
 
 
 @one_blas_thread()
@@ -408,7 +408,8 @@ def _chosen(
             start = 0.5 * (low + high) if start == 0.0 and high < math.inf else start
         if start == 0.0 and high == math.inf:
             raise InputError(f"{key} is 0 in {model}: give a first value, {key}=0.01 for example")
-        found.append(FreeParameter(name, "", start, low, high, given.get(name)))
+        drawn = (low, high) if high < math.inf else tuple(sorted((start / SPREAD, start * SPREAD)))
+        found.append(FreeParameter(name, "", start, low, high, given.get(name), drawn))
     names = [each.name for each in found]
     if not names:
         raise InputError("nothing is free: name at least one parameter")
@@ -532,14 +533,15 @@ class _Study:
 
         count = problem.shared
         points = qmc.LatinHypercube(count, rng=np.random.default_rng(seed)).random(MANY_PER_START * (starts - 1))
-        ends = np.array([_range_of(each) for each in problem.free[:count]])
+        ends = np.array([each.drawn for each in problem.free[:count]])
         drawn = [np.append(row, problem.start[count:]) for row in ends[:, 0] + points * (ends[:, 1] - ends[:, 0])]
-        noises = problem.noises(first)
-        costs = [cost for cost, _ in problem.costs(drawn, noises)]
+        # far from the minimum, whitened residuals have minima of their own
+        plain, noises = problem.first_noises(problem.start), problem.noises(first)
+        costs = [cost for cost, _ in problem.costs(drawn, plain)]
         found = [first]
         for number, place in enumerate(np.argsort(costs)[: starts - 1].tolist()):
             self._show(f"start {number + 2} of {starts}", (number + 1) / starts)
-            found.append(problem.fit(drawn[place], noises))
+            found.append(problem.fit(problem.fit(drawn[place], plain).unknowns, noises))
         best = min(found, key=lambda each: problem.costs([each.unknowns], noises)[0][0])
         errors = np.sqrt(np.diag(best.covariance))[:count]
         agreeing = sum(bool(np.all(np.abs(each.unknowns - best.unknowns)[:count] <= errors)) for each in found)
@@ -774,14 +776,6 @@ def _unit_of(name: str, problem: Problem) -> str:
         if name.startswith("gain")
         else next(row.channel.unit for row in problem.rows if f" {row.channel.name} of " in name)
     )
-
-
-def _range_of(each: FreeParameter) -> tuple[float, float]:
-    """Between which first values are drawn."""
-    ends = sorted((each.start / SPREAD, each.start * SPREAD))
-    return max(each.low, ends[0]) if each.low == -math.inf or not each.low else each.low, min(
-        each.high, ends[1]
-    ) if each.high == math.inf else each.high
 
 
 def _lagged(signal: RealArray, channel: Channel) -> RealArray:

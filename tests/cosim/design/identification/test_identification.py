@@ -277,6 +277,15 @@ def test_a_payload_is_found_from_torques(log: Path, tmp_path: Path) -> None:
     assert "payload.mass = 5." in repr(found)
 
 
+def test_drawn_starts_end_at_one_minimum(log: Path) -> None:
+    """Within half and twice the first values, far from the minimum of whitened residuals; a first value out of range is an error."""
+    found = flexfmu.identify("barnard2012-6kg", log, ["payload.mass", "damping.ratio"], starts=4, explain=False)
+    assert found.messages[0] == "4 of 4 starts end at the same values."
+    assert found.values["payload.mass"] == pytest.approx(5.5, rel=5e-3)
+    with pytest.raises(flexfmu.Error, match=r"payload\.mass must be at least 0 kg and at most"):
+        flexfmu.identify("barnard2012-6kg", log, {"payload.mass": -1.0})
+
+
 @pytest.mark.slow
 def test_proposed_motions_have_the_errors_of_their_logs(log: Path, tmp_path: Path) -> None:
     """Those of the scene's own motion are those that a log of it gives; the best is at least as good, and its scene runs."""
