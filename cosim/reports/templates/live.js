@@ -86,7 +86,7 @@
 
   // the robot in motion: points along its links, the rigid robot's and the deviations, at the animation's instants
   const moved = (motion, r) => {
-    const { robot } = facts, { count } = motion, instants = (motion.instants = 401), all = new Float32Array(instants * (1 + 4 * count)), from = r.time[r.size - 1] - Math.min(r.time[r.size - 1], robot.longest);
+    const { robot } = facts, { count } = motion, instants = (motion.instants = 201), all = new Float32Array(instants * (1 + 4 * count)), from = r.time[r.size - 1] - Math.min(r.time[r.size - 1], robot.longest);
     const ends = r.ends(0), rigids = r.rigids(0), signal = (...names) => names.map((name) => r.signal(name)).find(Boolean);
     const bent = robot.shapes.map(({ signals, matrix }) => ({ matrix, found: signals.map((name) => r.signal(name)) }));
     for (let f = 0, i = 0; f < instants; f++) {
@@ -121,7 +121,8 @@
   const show = (r, isUsual) => {
     for (const chart of charts) {
       const isShown = chart.key in curves && (chart.key !== "dwell" && chart.key !== "spectrum" || r.time[r.size - 1] > r.duration);
-      for (const each of chart.panels) if (each.motion) { const { time, frame } = each.motion, now = time[frame]; moved(each.motion, r); each.motion.show(now); }
+      const { motion } = chart.panels[0];
+      if (motion) chart.whenSeen(() => { const now = motion.time[motion.frame]; moved(motion, r); motion.show(now); });
       if (isShown) chart.whenSeen(() => {
         const recorded = isUsual || chart.key === "references" ? null : curves[chart.key](usual);
         curves[chart.key](r).forEach((list, n) => list.forEach(([x, y], i) => {
@@ -135,7 +136,9 @@
         chart.redraw(true);
       });
     }
-    const { metrics } = r;
+    const { metrics } = r, verdict = document.querySelector(".verdict");
+    verdict.dataset.recorded ??= verdict.textContent;
+    verdict.textContent = (isUsual ? "" : "As recorded: ") + verdict.dataset.recorded;
     for (const tile of document.querySelectorAll("[data-metric]")) {
       const { factor, unit, text } = JSON.parse(tile.dataset.shown), value = metrics[tile.dataset.metric];
       if (tile.dataset.metric in metrics) tile.textContent = isUsual ? text : value === null ? "–" : `${short(value * factor, 5)} ${unit}`.trim();

@@ -13,7 +13,11 @@ const page = (() => {
   };
   const colour = (name) => (name.startsWith("var(") ? css.getPropertyValue(name.slice(4, -1)) : name);
   // a number as Python's format g has it, with a true minus
-  const short = (value, digits = 6) => (value === null || !isFinite(value) ? "–" : String(+value.toPrecision(digits)).replace("e+", "e").replace(/-/g, "−"));
+  const short = (value, digits = 6) => {
+    if (value === null || !isFinite(value)) return "–";
+    const rounded = +value.toPrecision(digits), isPlain = rounded === 0 || (Math.abs(rounded) >= 1e-4 && Math.abs(rounded) < 1e6);
+    return (isPlain ? String(rounded) : rounded.toExponential()).replace("e+", "e").replace(/-/g, "−");
+  };
   const unitOf = (label) => (label.match(/\[(.*)\]/) || ["", ""])[1];
   // the place in ascending values that is nearest to one
   const nearest = (values, value) => {
@@ -48,7 +52,7 @@ const page = (() => {
       if (this.motion) this.motion.extent(axis).forEach(take);
       if (axis === "x" && this.xLimits) return this.xLimits;
       if (axis === "y" && this.level !== null && !between) take(this.level);
-      const found = range(low, high, axis === "y" || !this.is_function ? 0.05 : 0.01, isLog);
+      const found = range(low, high, this.motion && axis === "y" ? 0.1 : axis === "y" || !this.is_function ? 0.05 : 0.01, isLog);
       if (axis === "y" && this.from_zero) found[0] = 0;
       if (axis === "y" && this.least !== null) found[0] = Math.max(found[0], this.least);
       return found;

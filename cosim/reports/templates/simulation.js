@@ -178,11 +178,19 @@ class Simulation {
   run({ parameters = {}, tolerance = this.facts.tolerance, step = this.facts.step, stretch = 1 } = {}) {
     const { facts, exports } = this, isUsual = step === facts.step && stretch === 1;
     const key = `${step} ${stretch}`;
-    if (this.known?.key !== key) this.known = { key, ...(isUsual ? this.usual : this.grid({ step, stretch })) };
+    if (this.known?.key !== key) {
+      if (!isUsual) this.known = { key, ...this.grid({ step, stretch }) };
+      else this.known = this.first = this.first?.key === key ? this.first : { key, ...this.usual };
+    }
     const grid = this.known, count = grid.times.length, capacity = count + grid.marked.reduce((sum, each) => sum + each, 1) + 1;
-    // tables of the points
-    const announced = this.put(grid.polynomials, "announced"), ended = this.put(grid.ends, "ended"), times = this.put(grid.times, "times");
-    const marked = this.put(grid.marked, "marked"), due = grid.due.map((each, i) => this.put(each, `due${i}`)), instants = this.put(new Uint8Array(count).fill(1), "instants");
+    // tables of the points, which stay in memory while runs have the same
+    if (grid !== this.loaded) {
+      const flags = (values, name) => this.put(values, name), due = grid.due.map((each, i) => flags(each, `due${i}`));
+      this.places = { announced: this.put(grid.polynomials, "announced"), ended: this.put(grid.ends, "ended"), times: this.put(grid.times, "times"), due };
+      Object.assign(this.places, { marked: flags(grid.marked, "marked"), instants: flags(new Uint8Array(count).fill(1), "instants") });
+      this.loaded = grid;
+    }
+    const { announced, ended, times, due, marked, instants } = this.places;
     const width = facts.channels.reduce((sum, [, n]) => sum + n, 1), rows = this.area("rows", 8 * width * capacity);
     // the image, with parameters of blocks, relocated
     this.image ??= decoded(facts.image);
