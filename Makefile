@@ -29,12 +29,13 @@ install_wheel = rm -rf build/lib && { $(call install,--force-reinstall --no-deps
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/bin/python
-	$(call install,--editable ".$(EXTRAS)")
+	$(call install,--editable ".[zig]")
 	$(BIN)/flexfmu paper --out results/paper
 	$(BIN)/flexfmu run barnard2012-6kg --accuracy peak_torque_1=1e-3 --accuracy residual_vibration_amplitude=1e-2 --out results/barnard2012-6kg
 	$(BIN)/flexfmu workprec barnard2012-6kg --of peak_torque_1,residual_vibration_amplitude --out results/workprec > results/workprec.txt
 	$(BIN)/flexfmu workprec --hard --out results/hard-cases > results/hard-cases.txt
-	@echo "Open results/paper/report.html, results/barnard2012-6kg/report.html and, for what accuracy costs, results/workprec/workprec.html and results/hard-cases/hard-cases.html in a browser."
+	$(BIN)/flexfmu run barnard2012-6kg --live --out results/live
+	@echo "Open results/live/report.html, which simulates, results/paper/report.html, results/barnard2012-6kg/report.html and, for what accuracy costs, results/workprec/workprec.html and results/hard-cases/hard-cases.html in a browser."
 
 test: $(VENV)/.test
 	$(install_wheel)

@@ -126,6 +126,7 @@ def test_files_and_targets_exist() -> None:
     for target in re.findall(r"^    make (\w+)", README, re.MULTILINE):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
     assert (ROOT / "docs" / "overview.png").stat().st_size < 300_000
+    assert (ROOT / "docs" / "live.webp").stat().st_size < 1_000_000
     assert len(README.splitlines()) < 250, "what few users need is in docs/"
     for script in (ROOT / "examples").glob("*.py"):
         assert f"](../examples/{script.name})" in page("how-to"), script.name

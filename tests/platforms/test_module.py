@@ -21,7 +21,7 @@ STICTION: dict[str, Any] = {
     "cosimulation.drive": "torque",
     "effects.joint_friction": {"kind": "stiction", "coulomb": 2.0, "breakaway": 3.0, "viscous": 0.5},
 }
-CASES = {"barnard2012-6kg": {}, "barnard2012-0.1kg": {}, "starter": {}, "stiction": STICTION}
+CASES: dict[str, dict[str, Any]] = {"starter": {}, "stiction": STICTION}
 STEPS, STEP, ORDER = 60, 1e-3, 2
 
 SCRIPT = """
