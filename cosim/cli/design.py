@@ -73,7 +73,7 @@ def margins(
             and their correlations together, unknown to the controllers. Default: the scene's robot alone.
         response (FILE): A measured response of the robot at the end of the path (.csv, .mat), in place of the model's in its band; margins
             have standard errors. Default: the model's.
-        out (DIR): Folder for margins.csv, bode.png, nyquist.png and root-locus.png. Default: no files.
+        out (DIR): Folder for margins.html, margins.csv, bode.png, nyquist.png and root-locus.png. Default: no files.
     """
     from flexfmu.cosim.design.gains.robustness import band_masses, parse_band
     from flexfmu.cosim.design.identification.result import identified_robots

@@ -38,6 +38,19 @@ DASHED = "5,3"
 """Of curves that repeat a colour."""
 
 
+FIRST_METRICS = (
+    "peak_torque_1",
+    "peak_tip_deflection_1",
+    "peak_position_error",
+    "rms_acceleration_error",
+    "residual_vibration_amplitude",
+    "settling_time",
+)
+"""Metrics shown at the top of reports."""
+
+TILE_RUNS = 2
+"""Runs whose values stand there."""
+
 BAND_METRICS = (
     "peak_torque_1",
     "peak_torque_2",
@@ -98,8 +111,34 @@ def render_comparison(runs: Sequence[ComparedRun], tables: Sequence[Table], plot
         tables: of metrics, loops, and what else there is.
         plots: further plots, before those of the signals; their keys mustn't start with ``compared``.
     """
-    lead = f"{len(runs)} runs, each in its colour; differences are relative to {runs[0].name}."
-    return render_page(" · ".join(run.name for run in runs), lead, [*plots, *signal_plots(runs)], tables)
+    lead = f"{_best(runs)}{len(runs)} runs, each in its colour; differences are relative to {runs[0].name}."
+    tiles = []
+    for name in FIRST_METRICS:
+        shown = [
+            each for run in runs[:TILE_RUNS] if (each := run.metrics.get(name)) is not None and each.value is not None
+        ]
+        if len(shown) == min(len(runs), TILE_RUNS):
+            values = " → ".join(display(name, each.value, 4, each.error) for each in shown)
+            tiles.append((values, definition(name).label))
+    return render_page(" · ".join(run.name for run in runs), lead, [*plots, *signal_plots(runs)], tables, tiles)
+
+
+def _best(runs: Sequence[ComparedRun]) -> str:
+    """Which run has the smallest residual vibration and which the smallest peak torque, in a sentence; empty where that isn't known."""
+    found = []
+    for name, text in (
+        ("residual_vibration_amplitude", "rings least"),
+        ("peak_torque_1", "has the smallest peak torque"),
+    ):
+        values = {
+            run.name: each.value
+            for run in runs
+            if (each := run.metrics.get(name)) is not None and each.value is not None
+        }
+        if len(values) > 1 and len({*values.values()}) > 1:
+            best = min(values, key=values.__getitem__)
+            found.append(f"{best} {text}, {display(name, values[best], 3)}")
+    return f"{'; '.join(found)}. " if found else ""
 
 
 def loop_tables(runs: Sequence[ComparedRun]) -> Iterator[Table]:

@@ -61,7 +61,13 @@ class Table:
     texts: int = 0
 
 
-def render_page(title: str, lead: str, plots: Sequence[Plot] = (), tables: Sequence[Table] = ()) -> str:
+def render_page(
+    title: str,
+    lead: str,
+    plots: Sequence[Plot] = (),
+    tables: Sequence[Table] = (),
+    tiles: Sequence[tuple[str, str]] = (),
+) -> str:
     """Return a page of plots and tables as HTML.
 
     Args:
@@ -69,8 +75,9 @@ def render_page(title: str, lead: str, plots: Sequence[Plot] = (), tables: Seque
         lead: what it shows, in one or two sentences.
         plots: figures in their order.
         tables: tables in their order, before the figures.
+        tiles: the main figures, each with what it is.
     """
-    return render("results.html.j2", title=title, lead=lead, plots=plots, tables=tables)
+    return render("results.html.j2", title=title, lead=lead, plots=plots, tables=tables, tiles=tiles)
 
 
 def render(template: str, **values: Any) -> str:

@@ -8,22 +8,12 @@ from dataclasses import replace
 from typing import Any
 
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, display_error
+from flexfmu.cosim.reports.comparison import FIRST_METRICS
 from flexfmu.cosim.reports.page import Plot, render
 from flexfmu.cosim.reports.summary import motor_rows, stress_rows, title_of
 from flexfmu.cosim.reports.work_precision import ACCURACY
 from flexfmu.trajectories.path import BLENDS
 from flexfmu.trajectories.profiles import PROFILES
-
-TILES = (
-    "peak_torque_1",
-    "peak_tip_deflection_1",
-    "peak_position_error",
-    "rms_acceleration_error",
-    "residual_vibration_amplitude",
-    "settling_time",
-)
-"""Metrics shown at the top of the report."""
-
 
 FIRST_PLOTS = ("scene", "motion")
 """Plots beside the sliders."""
@@ -64,7 +54,7 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot], live: str =
             if "accuracy" not in summary  # of other figures, which may be coarser
         ],
         verdict=_verdict(summary, drawn),
-        tiles=[_tile(name, summary) for name in TILES],
+        tiles=[_tile(name, summary) for name in FIRST_METRICS],
         live=live,
         reason=reason,
         blocks=" and its controllers" if len(summary["slaves"]) > 2 else "",

@@ -34,6 +34,9 @@ GAINS = np.geomspace(0.05, 20.0, 160)
 WORST, OTHERS, DISK, CRITICAL = "#0b5fa5", "#c3cad1", "#f3c7cd", "#a3212f"
 """Colours of the worst loop, of all others, of the disk, and of -1."""
 
+NYQUIST = 2.5
+"""Magnitude up to which a page's Nyquist diagram shows a loop."""
+
 FLOOR = -40.0
 """Magnitude [dB] at which the diagram ends."""
 

@@ -28,6 +28,9 @@ from flexfmu.cosim.engine.showing import Rows
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
 from flexfmu.cosim.metrics.metric_table import LOOP_FIGURES
+from flexfmu.cosim.reports.chart import DASHES, FIRST, GREY, SECOND, Curve, Marker, Panel
+from flexfmu.cosim.reports.page import Plot, render_page
+from flexfmu.cosim.reports.page import Table as PageTable
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.fmu_build.own_models import linear_about
 from flexfmu.model.one_thread import one_blas_thread
@@ -115,6 +118,58 @@ class MarginsResult(Rows):
         from flexfmu.cosim.design.margins.pictures import draw_margins  # Matplotlib takes longer than most commands
 
         return draw_margins(self.poses, f"{self.scene.name}. {self.verdict}")
+
+    def page(self) -> str:
+        """The page: verdict, the worst margins, those of each pose and cut, Bode and Nyquist diagrams of all open loops, as HTML."""
+        from flexfmu.cosim.design.margins.pictures import NYQUIST, disk_of, loop_curves
+
+        curves = loop_curves(self.poses)
+        first = curves[0]
+        gains, phases, paths = list[Curve](), list[Curve](), list[Curve]()
+        # the loop with the smallest disk margin on top of the others
+        for each in reversed(curves):
+            look = {"colour": FIRST, "label": each.label} if each is first else {"colour": GREY, "width": 0.8}
+            gains.append(Curve(each.frequency, each.decibels, **look))
+            phases.append(Curve(each.frequency, np.where(each.phase > PAGE_PHASE, each.phase, np.nan), **look))
+            response = np.where(np.abs(each.response) < NYQUIST, each.response, np.nan)
+            more = {"frequency [Hz]": each.frequency}
+            paths.append(Curve(response.real, response.imag, more=more, is_read=each is first, **look))
+        crossings = {"gain margin": first.gain_crossover, "phase margin": first.phase_crossover}
+        marks = [(each, name) for name, each in crossings.items() if isfinite(each)]
+        bode = (
+            Panel(label="magnitude [dB]", curves=gains, logarithmic="x", level=0.0, least=PAGE_FLOOR, marks=marks),
+            Panel(label="phase [°]", curves=phases, logarithmic="x", level=-180.0),
+        )
+        # the disk of the disk margin, which no curve enters
+        if self.is_stable and 0.0 < first.margins.disk_margin < 2.0:
+            middle, radius = disk_of(first.margins.disk_margin)
+            angles = np.linspace(0.0, 2.0 * np.pi, 181)
+            x, y = middle + radius * np.cos(angles), radius * np.sin(angles)
+            paths.insert(0, Curve(x, y, "disk of the disk margin", SECOND, dashes=DASHES, is_read=False))
+        critical = Marker(-1.0, 0.0, 7.0, SECOND, text="−1", offset=(6.0, -6.0))
+        nyquist = Panel(label="imaginary part", curves=paths, markers=[critical], is_to_scale=True, is_function=False)
+        caption = f"In colour the loop with the smallest disk margin, {first.label}; grey: other poses and cuts."
+        plots = [
+            Plot("bode", "Bode diagram of the open loops", caption, bode, "frequency [Hz]", 300.0, 400),
+            Plot("nyquist", "Nyquist diagram about −1", caption, (nyquist,), "real part", 300.0, 1000),
+        ]
+        heads = [" ".join(head.replace("-\n", "").split("\n")) for head in HEADS]
+        rows = [
+            [f"{pose.s:.2f}, {row.channel.removesuffix('.torque')}", *_texts(row)]
+            for pose in self.poses
+            for row in pose.loops
+        ]
+        table = PageTable("Margins", ["Place on the path, cut", *heads], rows, self.coarse_counts or "")
+        names = (
+            "gain margin",
+            "gain may fall to",
+            "phase margin, degrees",
+            "delay margin, ms",
+            "disk margin",
+            "peak of the sensitivity",
+        )
+        tiles = list(zip(_texts(self.worst), names, strict=False))
+        return render_page(f"Margins of {self.scene.name}", self.verdict, plots, [table], tiles)
 
     def row_units(self) -> Mapping[str, str]:
         """Margin → unit."""
@@ -249,6 +304,9 @@ def model_margins(
     return MarginsResult(model, (pose,), (linear,), None, response)
 
 
+PAGE_FLOOR, PAGE_PHASE = -60.0, -540.0
+"""Least magnitude [dB] and phase [degrees] of a page's Bode diagram."""
+
 HEADS = ("gain", "less", "phase\n°", "delay\nms", "disk", "peak\nS", "band-\nwidth\nHz", "cross-\nover\nHz")
 """Of the columns, short enough for 80 characters with all others."""
 
@@ -305,7 +363,7 @@ def margins_data(result: MarginsResult) -> dict[str, Any]:
 
 @one_blas_thread()
 def write_margins(result: MarginsResult, folder: Path) -> list[Path]:
-    """Write ``margins.csv``, ``bode.png``, ``nyquist.png`` and, of a model, ``root-locus.png`` into a folder; return the files.
+    """Write ``margins.csv``, ``bode.png``, ``nyquist.png``, of a model ``root-locus.png``, and ``margins.html`` into a folder; return the files.
 
     Raises:
         ResultsError: a file can't be written.
@@ -324,4 +382,5 @@ def write_margins(result: MarginsResult, folder: Path) -> list[Path]:
     for file, figure in pictures.items():
         with replacing(folder / file) as path:
             figure.savefig(path, format="png", dpi=130)
-    return [out.write("margins.csv", result.to_csv()), *(folder / file for file in pictures)]
+    written = [out.write("margins.csv", result.to_csv()), *(folder / file for file in pictures)]
+    return [*written, out.write("margins.html", result.page())]

@@ -119,10 +119,10 @@ const page = (() => {
         }
         return found;
       };
-      for (const [x, label] of this.marks) {
+      this.marks.forEach(([x, label], i) => {
         line([[at(x, "x"), bbox.top], [at(x, "x"), bbox.top + bbox.height]], "var(--grey)", 1, [5, 4]);
-        text(label, at(x, "x") + 4 * ratio, bbox.top + 12 * ratio, "left", "var(--grey)");
-      }
+        text(label, at(x, "x") + 4 * ratio, bbox.top + (12 + 13 * (i % 2)) * ratio, "left", "var(--grey)");
+      });
       if (this.level !== null) line([[bbox.left, at(this.level, "y")], [bbox.left + bbox.width, at(this.level, "y")]], "var(--grey)", 1, [5, 4]);
       for (const c of this.curves) {
         if (c.off || (c.group === "pose" && this.motion)) continue;

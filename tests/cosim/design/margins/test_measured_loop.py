@@ -128,7 +128,12 @@ def test_the_commands_take_a_response(tmp_path: Path, monkeypatch: pytest.Monkey
     for name in ("gain_margin", "phase_margin", "delay_margin", "disk_margin", "sensitivity_peak", "crossover"):
         assert measured["worst"][name] == pytest.approx(model["worst"][name], rel=2e-3)
         assert all(0.0 < row[name] < 0.02 * model["worst"][name] for row in measured["standard_errors"])
-    assert {each.name for each in (tmp_path / "out").iterdir()} == {"margins.csv", "bode.png", "nyquist.png"}
+    assert {each.name for each in (tmp_path / "out").iterdir()} == {
+        "margins.csv",
+        "margins.html",
+        "bode.png",
+        "nyquist.png",
+    }
     tuned = ran(
         "tune", *scene, "--over", "pd.derivative=20:60", "--subject-to", "gain_margin>6dB", "--response", "plant.csv", "--trials", "2", "-j", "1",
     )  # fmt: skip

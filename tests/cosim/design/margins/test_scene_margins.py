@@ -121,7 +121,12 @@ def test_the_command_prints_margins_and_draws_pictures(tmp_path: Path) -> None:
     data = json.loads(found.stdout)
     assert data["stable"]
     assert 1.5 < data["worst"]["gain_margin"] < 2.5
-    assert {path.name for path in out.iterdir()} == {"bode.png", "margins.csv", "nyquist.png", "root-locus.png"}
+    assert {path.name for path in out.iterdir()} == {
+        *("bode.png", "margins.csv", "margins.html", "nyquist.png", "root-locus.png")
+    }
+    page = (out / "margins.html").read_text(encoding="utf-8")
+    assert "Nyquist diagram about −1" in page
+    assert page.count('class="tile"') == 6
     found = CliRunner().invoke(app, [*command, "--set", "controller.pd.proportional=5e4"])
     assert found.exit_code == 1
     assert "The loop is unstable at path 1.00" in found.stdout
@@ -331,6 +336,12 @@ def test_files_have_pictures(tmp_path: Path) -> None:
     """A table and three pictures, of unstable loops too; diagrams beside each other say so, and label one loop."""
     legends = [axes.get_legend() for axes in margins_of("unstable").plot().axes]
     assert sum("unstable" in text.get_text() for each in legends if each for text in each.get_texts()) == 3
-    table, *pictures = write_margins(margins_of("unstable"), tmp_path)
-    assert [path.name for path in (table, *pictures)] == ["margins.csv", "bode.png", "nyquist.png", "root-locus.png"]
+    table, *pictures, page = write_margins(margins_of("unstable"), tmp_path)
+    assert [path.name for path in (table, *pictures, page)] == [
+        "margins.csv",
+        "bode.png",
+        "nyquist.png",
+        "root-locus.png",
+        "margins.html",
+    ]
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures)
