@@ -642,6 +642,7 @@ def plan(
     rate: float = 4000.0,
     unit: str = "rad",
     counts: float | None = None,
+    live: bool = False,
     settings: list[str] | None = None,
     json: bool = False,
 ) -> int:
@@ -686,6 +687,8 @@ def plan(
         rate (HZ): Samples a second of --export. Default: 4000.
         unit (UNIT): Angles of --export: rad, deg or turn. Default: rad.
         counts (N): Encoder counts of a joint's turn: angles of --export are whole counts. Default: no rounding.
+        live: Also write live.html, the report of the planned motion, which simulates: sliders change payload, stiffness and more. It needs
+            ziglang. Default: plan.html alone.
     """
     import os
 
@@ -699,6 +702,10 @@ def plan(
 
     console.check_scene_file(output)
     check_drive(rate, unit, counts)
+    if live:
+        from flexfmu.fmu_build.toolchain import WASM, find_compiler
+
+        find_compiler(WASM)
     robot = console.load_changed(scene, settings)
     band = None if payload_band is None else parse_band(payload_band)
     wishes: dict[str, Any] = {
@@ -727,6 +734,13 @@ def plan(
         )
         show("writing the results", None)
         files = write_plan(result, folder) + (write_scene(result, output) if output is not None else [])
+        if live:
+            from flexfmu.cosim.engine.files import write_whole
+            from flexfmu.cosim.exchange.live import live_page
+
+            show("compiling the planned motion for its page", None)
+            write_whole(folder / "live.html", live_page(result.chosen.candidate.prepared().run()))
+            files.append(folder / "live.html")
         drive = dict[str, Any]()
         if export is not None:
             show("the motion as a drive reads it", None)

@@ -42,9 +42,10 @@ from flexfmu.fmu_build.block_build import sample_function
 from flexfmu.fmu_build.choices import INITIAL
 from flexfmu.fmu_build.codegen import c_code, function_facts
 from flexfmu.fmu_build.compilation import compile_library
+from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.sources import Sources, c_files
 from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, RUNTIME_FLAGS, WASM, find_compiler
-from flexfmu.fmu_build.trajectory_table import tabulate
+from flexfmu.fmu_build.trajectory_table import TrajectoryTable, tabulate
 from flexfmu.fmu_build.wasm_module import model_facts
 from flexfmu.model.beams import Shape, scene_shapes
 from flexfmu.model.scene.assembly import bases
@@ -68,6 +69,9 @@ SIGNALS = (
 
 BENDING = tuple(f"link{i}{j}.bending[" for i in (1, 2) for j in (1, 2))
 """Begins the names of the coordinates that bend the robot in motion."""
+
+TOLERANCES = (2e-13, 1e-11, 1e-9, 1e-7)
+"""Of the motion between knots, relative to the largest value; the run's own references have all bits at its communication points."""
 
 EXPORTED = (
     "fmi2Instantiate",
@@ -177,8 +181,11 @@ def live_run(run: Run) -> LiveRun:
         }
     if not texts or root.find("CoSimulation") is None:
         return LiveRun(reason=f"{run.fmu_path.name} has no C sources")
-    module = _compiled(root.get("guid"), texts, blocks)
-    return LiveRun(module, _facts(run, prepared, image, table, root))
+    try:
+        facts = _facts(run, prepared, image, table, root)
+    except InputError as error:
+        return LiveRun(reason=str(error))
+    return LiveRun(_compiled(root.get("guid"), texts, blocks), facts)
 
 
 def _compiled(guid: str, texts: Mapping[str, str], blocks: Sequence[BlockSlave]) -> bytes:
@@ -275,7 +282,7 @@ def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, table: _Table
     """What the page knows beside the module."""
     parts, schedule, recorder = prepared.parts, prepared.simulator.schedule, prepared.simulator.recorder
     model = model_facts(root)
-    task, plan = tabulate(run.plan.task), run.plan
+    task, plan = _knots(run.plan.task), run.plan
     # starts as the FMU takes them, and where it rests at the end
     starts = {name: float(each.value) for name, (each, _) in parts.plant._starts._starts.items()}
     end, position = plan.end_pose
@@ -410,13 +417,27 @@ def _robot(scene: Scene) -> dict[str, Any]:
     }
 
 
+def _knots(trajectory: Trajectory) -> TrajectoryTable:
+    """Knots of a motion, as accurate as can be.
+
+    Raises:
+        InputError: no knots reproduce it.
+    """
+    for tolerance in TOLERANCES:
+        try:
+            return tabulate(trajectory, tolerance)
+        except ModelError:
+            continue
+    raise InputError("its motion isn't smooth enough for a table")
+
+
 def _limits(table: _Table, trajectory: Trajectory) -> dict[str, Any]:
     """Knots of the joints' motion, and what its limits at the communication points differ by from what the page evaluates between them.
 
     Positions to order 6 (N, 7, axes) are all that there is, since velocities and accelerations share them. Differences are those of the
     bits as integers, which are small: they pack to a third of the numbers.
     """
-    knots = tabulate(trajectory)
+    knots = _knots(trajectory)
     axes = knots.jets.shape[2]
 
     def limits(jets: RealArray) -> RealArray:

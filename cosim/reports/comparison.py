@@ -112,6 +112,13 @@ def render_comparison(runs: Sequence[ComparedRun], tables: Sequence[Table], plot
         plots: further plots, before those of the signals; their keys mustn't start with ``compared``.
     """
     lead = f"{_best(runs)}{len(runs)} runs, each in its colour; differences are relative to {runs[0].name}."
+    return render_page(
+        " · ".join(run.name for run in runs), lead, [*plots, *signal_plots(runs)], tables, first_tiles(runs)
+    )
+
+
+def first_tiles(runs: Sequence[ComparedRun]) -> list[tuple[str, str]]:
+    """Return the main figures of the first runs side by side, each with what it is."""
     tiles = []
     for name in FIRST_METRICS:
         shown = [
@@ -120,7 +127,7 @@ def render_comparison(runs: Sequence[ComparedRun], tables: Sequence[Table], plot
         if len(shown) == min(len(runs), TILE_RUNS):
             values = " → ".join(display(name, each.value, 4, each.error) for each in shown)
             tiles.append((values, definition(name).label))
-    return render_page(" · ".join(run.name for run in runs), lead, [*plots, *signal_plots(runs)], tables, tiles)
+    return tiles
 
 
 def _best(runs: Sequence[ComparedRun]) -> str:

@@ -24,7 +24,7 @@ from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, Curve, Marker, Panel
-from flexfmu.cosim.reports.comparison import ComparedRun, metrics_table, signal_plots
+from flexfmu.cosim.reports.comparison import ComparedRun, first_tiles, metrics_table, signal_plots
 from flexfmu.cosim.reports.page import WIDTH, Plot, Table, render_page
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
@@ -202,7 +202,8 @@ def plan_page(result: PlanResult) -> str:
     lead = f"{chosen.label} ({chosen.method}), for payloads of {low:.4g} to {high:.4g} kg: {result.verdict}."
     lead += " Stopped before the end: this is the best motion so far." if result.interrupted else ""
     title = f"{result.goals.scene.name}: planned motion"
-    return render_page(title, lead, [*plots, *signal_plots(compared)], [*tables, metrics_table(compared)])
+    tables.append(metrics_table(compared))
+    return render_page(title, lead, [*plots, *signal_plots(compared)], tables, first_tiles(compared))
 
 
 def summary_table(result: PlanResult) -> Table:

@@ -166,9 +166,12 @@
     page.redrawn = performance.now() - began;
     page.updates = (page.updates ?? 0) + 1;
   };
+  let addressed = 0;
   const changed = () => {
     const text = [...state].map(([slider, value]) => `${slider.name}=${value}`).join("&");
-    history.replaceState(null, "", text ? `#${text}` : location.pathname + location.search);
+    // which takes milliseconds, and browsers limit how often
+    clearTimeout(addressed);
+    addressed = setTimeout(() => history.replaceState(null, "", text ? `#${text}` : location.pathname + location.search), 150);
     panel.querySelector(".reset-all").hidden = !state.size;
     pending ||= requestAnimationFrame(update);
   };
