@@ -171,7 +171,9 @@
     const text = [...state].map(([slider, value]) => `${slider.name}=${value}`).join("&");
     // which takes milliseconds, and browsers limit how often
     clearTimeout(addressed);
-    addressed = setTimeout(() => history.replaceState(null, "", text ? `#${text}` : location.pathname + location.search), 150);
+    addressed = setTimeout(() => {
+      try { history.replaceState(null, "", text ? `#${text}` : location.pathname + location.search); } catch { /* a notebook's frame has no address */ }
+    }, 150);
     panel.querySelector(".reset-all").hidden = !state.size;
     pending ||= requestAnimationFrame(update);
   };
