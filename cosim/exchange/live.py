@@ -157,6 +157,13 @@ def live_run(run: Run) -> LiveRun:
         input_order=run.input_order,
         record=Selection([name for name in run.recording.columns if name in SIGNALS or name.startswith(BENDING)]),
     )
+    kinds = (BlockSlave, TrajectorySlave)
+    outside = [
+        each for each in prepared.parts.slaves if each is not prepared.parts.plant and not isinstance(each, kinds)
+    ]
+    if outside:
+        named = ", ".join(f"{each.name} ({type(each).__name__})" for each in outside)
+        return LiveRun(reason=f"it has no C of {named}")
     again = prepared.run(run.parameters)
     simulator = prepared.simulator
     if not again.completed or not simulator.is_compiled:
