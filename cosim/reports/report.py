@@ -79,13 +79,23 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot], live: str =
     )
 
 
-def _tile(name: str, summary: Mapping[str, Any]) -> dict[str, str]:
-    """One of the six figures, with its limit where the scene has one."""
+def _tile(name: str, summary: Mapping[str, Any]) -> dict[str, Any]:
+    """One of the six figures, with its limit where the scene has one: the settling band, and the peak torque of a motor."""
     value, info = summary["metrics"][name], definition(name)
-    text, band = display(name, value, 4, summary["errors"][name]), summary["scene"]["cosimulation"]["settling_band"]
-    limit = f", settled within {display(name, band, 4)}" if name == "residual_vibration_amplitude" else ""
-    shown = {"factor": info.displayed(1.0), "unit": info.display_unit, "text": text}
-    return {"name": name, "label": info.label, "value": text, "limit": limit, "shown": json.dumps(shown)}
+    limits = {"residual_vibration_amplitude": summary["scene"]["cosimulation"]["settling_band"]}
+    for motor in summary.get("motors", ()):
+        known = {each["name"]: each["limit"] for each in motor["margins"]}
+        limits[f"peak_torque_{motor['joint']}"] = known.get("peak torque")
+    limit, text = limits.get(name), display(name, value, 4, summary["errors"][name])
+    shown = {"factor": info.displayed(1.0), "unit": info.display_unit, "text": text, "limit": limit}
+    return {
+        "name": name,
+        "label": info.label,
+        "value": text,
+        "limit": "" if limit is None else f", limit {display(name, limit, 4)}",
+        "is_over": limit is not None and value is not None and value > limit,
+        "shown": json.dumps(shown),
+    }
 
 
 def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:

@@ -140,8 +140,10 @@
     verdict.dataset.recorded ??= verdict.textContent;
     verdict.textContent = (isUsual ? "" : "As recorded: ") + verdict.dataset.recorded;
     for (const tile of document.querySelectorAll("[data-metric]")) {
-      const { factor, unit, text } = JSON.parse(tile.dataset.shown), value = metrics[tile.dataset.metric];
-      if (tile.dataset.metric in metrics) tile.textContent = isUsual ? text : value === null ? "–" : `${short(value * factor, 5)} ${unit}`.trim();
+      const { factor, unit, text, limit } = JSON.parse(tile.dataset.shown), value = metrics[tile.dataset.metric];
+      if (!(tile.dataset.metric in metrics)) continue;
+      tile.parentElement.classList.toggle("over", limit !== null && value > limit);
+      tile.textContent = isUsual ? text : value === null ? "–" : `${short(value * factor, 5)} ${unit}`.trim();
     }
     return metrics;
   };
