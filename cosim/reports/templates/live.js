@@ -86,7 +86,7 @@
 
   // the robot in motion: points along its links, the rigid robot's and the deviations, at the animation's instants
   const moved = (motion, r) => {
-    const { robot } = facts, { count } = motion, instants = (motion.instants = 201), all = new Float32Array(instants * (1 + 4 * count)), from = r.time[r.size - 1] - Math.min(r.time[r.size - 1], robot.longest);
+    const { robot } = facts, { count } = motion, instants = (motion.instants = 121), all = new Float32Array(instants * (1 + 4 * count)), from = r.time[r.size - 1] - Math.min(r.time[r.size - 1], robot.longest);
     const ends = r.ends(0), rigids = r.rigids(0), signal = (...names) => names.map((name) => r.signal(name)).find(Boolean);
     const bent = robot.shapes.map(({ signals, matrix }) => ({ matrix, found: signals.map((name) => r.signal(name)) }));
     for (let f = 0, i = 0; f < instants; f++) {
@@ -117,12 +117,15 @@
     motion.slider.max = instants - 1;
   };
 
-  // draw a result; recorded curves stay as thin lines
+  // draw a result; recorded curves stay as thin lines, and references are what they were unless their time changes
+  const shown = new Set([...document.querySelectorAll("[data-metric]")].map((tile) => tile.dataset.metric));
+  let referenced = "";
   const show = (r, isUsual) => {
     for (const chart of charts) {
       const isShown = chart.key in curves && (chart.key !== "dwell" && chart.key !== "spectrum" || r.time[r.size - 1] > r.duration);
       const { motion } = chart.panels[0];
       if (motion) chart.whenSeen(() => { const now = motion.time[motion.frame]; moved(motion, r); motion.show(now); });
+      if (chart.key === "references" && referenced === r.grid.key) continue;
       if (isShown) chart.whenSeen(() => {
         const recorded = isUsual || chart.key === "references" ? null : curves[chart.key](usual);
         curves[chart.key](r).forEach((list, n) => list.forEach(([x, y], i) => {
@@ -136,7 +139,8 @@
         chart.redraw(true);
       });
     }
-    const { metrics } = r, verdict = document.querySelector(".verdict");
+    referenced = r.grid.key;
+    const metrics = r.measure(shown), verdict = document.querySelector(".verdict");
     verdict.dataset.recorded ??= verdict.textContent;
     verdict.textContent = (isUsual ? "" : "As recorded: ") + verdict.dataset.recorded;
     for (const tile of document.querySelectorAll("[data-metric]")) {
@@ -151,7 +155,7 @@
   // the error of a result by a companion, where there is time
   let pending = 0, idle = 0;
   const companion = (given, r, metrics) => {
-    const finer = simulation.run({ ...given, step: (given.step ?? facts.step) / 2, tolerance: Math.max((given.tolerance ?? facts.tolerance) / 100, 1e-12) }).metrics;
+    const finer = simulation.run({ ...given, step: (given.step ?? facts.step) / 2, tolerance: Math.max((given.tolerance ?? facts.tolerance) / 100, 1e-12) }).measure(shown);
     const errors = Object.keys(metrics).map((name) => (metrics[name] && finer[name] ? Math.abs(finer[name] / metrics[name] - 1) : 0));
     status.textContent = `${status.dataset.time}, metrics within ${short(Math.max(...errors, 1e-12), 2)} of a run with half the step and a hundredth of the tolerance`;
   };

@@ -236,7 +236,7 @@ class Simulation {
     exports.fmi2FreeInstance(component);
     const all = this.view(Float64Array, rows, width * capacity).slice();
     const rest = this.restAt(starts);
-    return new Result(this, { all, capacity, size, elapsed, failure, stretch, rest });
+    return new Result(this, { all, capacity, size, elapsed, failure, stretch, rest, grid });
   }
 
   // where the end effector rests at the end of the motion
@@ -272,8 +272,8 @@ class Result {
   }
   // the instants at which segments from a time to a time begin, the same for all runs over one grid
   chosen(from, to) {
-    const { time, size, simulation } = this, known = simulation.known, key = `${size} ${from} ${to}`;
-    const found = (known.chosen ??= {});
+    const { time, size, grid } = this, key = `${size} ${from} ${to}`;
+    const found = (grid.chosen ??= {});
     if (!found[key]) {
       const all = [];
       for (let i = 0; i + 1 < size; i++) if (time[i + 1] > time[i]) { const middle = 0.5 * (time[i] + time[i + 1]); if (middle > from && middle < to) all.push(i); }
@@ -293,16 +293,15 @@ class Result {
   }
   // the rigid robot's end effector at all instants, [instant][order][axis]; the first of two equal instants is the left limit
   get rigid() {
-    const { simulation, stretch, duration, time, size } = this, { task } = simulation, row = 2 * ENDS;
-    const key = `${simulation.known.key} ${size}`;
-    if (simulation.rigid?.key === key) return simulation.rigid.all;
+    const { simulation, stretch, duration, time, size, grid } = this, { task } = simulation, row = 2 * ENDS;
+    if (grid.rigid?.size === size) return grid.rigid.all;
     const all = new Float64Array(size * row), last = task.times[task.times.length - 1], near = 1e-9 * duration;
     for (let i = 0; i < size; i++) {
       const isLeft = i + 1 < size && time[i] === time[i + 1], isIn = time[i] < duration - near || (isLeft && time[i] <= duration + near);
       simulation.evaluate(task, isIn ? Math.min(time[i] / stretch, last) : last + 1, isLeft, all, i * row);
       if (stretch !== 1) for (let k = 0; k < row; k++) all[i * row + k] *= stretch ** -(k >> 1);
     }
-    simulation.rigid = { key, all };
+    grid.rigid = { size, all };
     return all;
   }
   analysed({ n, c, orders, left, right, duration }) {
@@ -334,13 +333,15 @@ class Result {
   get metrics() {
     return (this.measured ??= this.measure());
   }
-  measure() {
+  /** Those of the metrics that are among some names; all without names. */
+  measure(names) {
     const { duration, rest, size } = this, { band } = this.simulation.facts, found = {};
     const POSITION = ["end_effector.position.x", "end_effector.position.y"], { rigid } = this, off = (i, k, channel) => rigid[2 * (i * ENDS + k) + channel];
     const over = (name, m, from = 0, to = duration) => this.analysed(this.segments([name], m, from, to));
-    for (const j of [1, 2]) found[`peak_torque_${j}`] = over(`joint${j}.torque`, 3).peak();
-    for (const j of [1, 2]) if (this.signal(`link${j}1.tip_deflection`)) found[`peak_tip_deflection_${j}`] = over(`link${j}1.tip_deflection`, 3).peak();
-    for (const j of [1, 2]) if (this.signal(`joint${j}.position`) && this.signal(`joint${j}.reference.position`)) {
+    const wanted = (name) => !names || names.has(name);
+    for (const j of [1, 2]) if (wanted(`peak_torque_${j}`)) found[`peak_torque_${j}`] = over(`joint${j}.torque`, 3).peak();
+    for (const j of [1, 2]) if (wanted(`peak_tip_deflection_${j}`) && this.signal(`link${j}1.tip_deflection`)) found[`peak_tip_deflection_${j}`] = over(`link${j}1.tip_deflection`, 3).peak();
+    for (const j of [1, 2]) if (wanted(`rms_tracking_error_${j}`) && this.signal(`joint${j}.position`) && this.signal(`joint${j}.reference.position`)) {
       const { time } = this, error = this.signal(`joint${j}.position`).map((q, i) => q - this.signal(`joint${j}.reference.position`)[i]);
       let sum = 0;
       for (let i = 1; i < size && time[i] <= duration + 1e-9; i++) sum += 0.5 * (time[i] - time[i - 1]) * (error[i] ** 2 + error[i - 1] ** 2);
