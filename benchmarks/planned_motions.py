@@ -19,7 +19,19 @@ from flexfmu.cosim.design.plans.planner import METHODS, PlanResult, plan_scene
 from flexfmu.model.scene.schema import Scene
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-SCENES = ("barnard2012-6kg", "barnard2012-0.1kg", str(EXAMPLES / "tubes.toml"), str(EXAMPLES / "steel.toml"))
+HEAVY = "barnard2012-6kg"
+OTHERS: dict[str, dict[str, Any]] = {
+    "carbon": {"mechanism.material": {"density": 1600.0, "youngs_modulus": 120e9}},
+    "undamped": {"effects.damping": {"kind": "none"}},
+    "elbows-in": {"mechanism.working_mode": "elbows-in", "mechanism.assembly_mode": "right"},
+    "left-left": {"mechanism.working_mode": "left"},
+    "craig-bampton": {"effects.basis": "craig-bampton", "effects.distal_bending": 2},
+    "rotor-inertia": {"effects.motor_inertia": 0.1},
+    "empty": {"payload.mass": 0.0},
+}
+"""Name → changes of `HEAVY`: other materials, assemblies, effects and loads."""
+
+SCENES = ("barnard2012-6kg", "barnard2012-0.1kg", str(EXAMPLES / "tubes.toml"), str(EXAMPLES / "steel.toml"), *OTHERS)
 
 
 def main() -> None:
@@ -39,7 +51,7 @@ def main() -> None:
     options = parser.parse_args()
     found = []
     for name in options.scenes:
-        scene = load_scene(name)
+        scene = load_scene(HEAVY).replace({"name": name, **OTHERS[name]}) if name in OTHERS else load_scene(name)
         if options.damping is not None:
             scene = scene.replace({"effects.damping": {"kind": "modal", "ratio": options.damping}})
         wishes: dict[str, Any] = {"cycle.pause": 0.1} if options.cycle else {}
