@@ -9,6 +9,10 @@ LONGEST = 60
 """Characters of a licence; some packages have its whole text in that field."""
 
 
+INSIDE = {"uPlot": ("1.6.32", "MIT")}
+"""What the package has inside, in cosim/reports/uplot: version and licence."""
+
+
 def installed_with(name: str, found: dict[str, Distribution] | None = None) -> dict[str, Distribution]:
     """The package and all that it needs, by name, as far as they are installed; without what extras add."""
     found = {} if found is None else found
@@ -36,3 +40,5 @@ def licence(package: Distribution) -> str:
 if __name__ == "__main__":
     for _name, _package in sorted(installed_with("flexfmu").items()):
         print(f"{_name:24} {_package.version:16} {licence(_package)}")
+    for _name, _facts in INSIDE.items():
+        print(f"{_name:24} {_facts[0]:16} {_facts[1]}")

@@ -12,7 +12,7 @@ def test_every_dependency_is_listed_with_its_licence() -> None:
     script = Path(__file__).parents[1] / "generators" / "licences.py"
     listed = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True).stdout
     licences = {name: licence for name, _, licence in (line.split(maxsplit=2) for line in listed.splitlines())}
-    assert {"flexfmu", "numpy", "scipy", "casadi", "fmpy", "lxml"} <= {*licences}
+    assert {"flexfmu", "numpy", "scipy", "casadi", "fmpy", "lxml", "uPlot"} <= {*licences}
     assert "BSD" in licences["numpy"]
     assert "Lesser General" in licences["casadi"]
     assert {name for name, licence in licences.items() if licence == "not stated"} <= {"fmpy"}

@@ -82,7 +82,7 @@ def render_page(
 
 def render(template: str, **values: Any) -> str:
     """Return a page by one of the templates, all values as text."""
-    library = _text("uPlot.iife.min.js", "uplot")
+    library = f"/* {_text('LICENSE', 'uplot')} */\n{_text('uPlot.iife.min.js', 'uplot')}"
     parts: Mapping[str, str] = {
         "style": _text("uPlot.min.css", "uplot") + _text("page.css"),
         "script": library + _text("page.js"),
