@@ -321,7 +321,7 @@ def _of_variable(parameter: FreeParameter, variable: Any) -> FreeParameter:
     low = parameter.low if variable.min is None else max(parameter.low, float(variable.min))
     high = parameter.high if variable.max is None else min(parameter.high, float(variable.max))
     start, *drawn = np.clip([parameter.start, *parameter.drawn], low, high).tolist()
-    return replace(parameter, unit=variable.unit or "1", start=start, low=low, high=high, drawn=tuple(drawn))
+    return replace(parameter, unit=variable.unit or "1", start=start, low=low, high=high, drawn=(drawn[0], drawn[1]))
 
 
 @one_blas_thread()
@@ -408,7 +408,8 @@ def _chosen(
             start = 0.5 * (low + high) if start == 0.0 and high < math.inf else start
         if start == 0.0 and high == math.inf:
             raise InputError(f"{key} is 0 in {model}: give a first value, {key}=0.01 for example")
-        drawn = (low, high) if high < math.inf else tuple(sorted((start / SPREAD, start * SPREAD)))
+        ends = start / SPREAD, start * SPREAD
+        drawn = (low, high) if high < math.inf else (min(ends), max(ends))
         found.append(FreeParameter(name, "", start, low, high, given.get(name), drawn))
     names = [each.name for each in found]
     if not names:
