@@ -832,7 +832,7 @@ def _check_likeness(experiment: Experiment, run: Recording, delay: float, name: 
         if not 1.0 / UNLIKE < ratio < UNLIKE and abs(correlation) > HARDLY:
             raise InputError(
                 f"{experiment.name}: {each.name} is {ratio:.3g} times as large as simulated: is its unit {each.unit or '1'}? Map it with its "
-                f'unit, --map "{each.name.partition("/")[0]}={each.name.partition("/")[0]}*1e-3" for example'
+                f'unit, --map "{each.name.partition("/")[0]}={each.name.partition("/")[0]}*{"1e-3" if ratio > 1.0 else "1e3"}" for example'
             )
         if correlation < HARDLY and experiment.scene is not None and each.part is None:
             at_once = float(np.corrcoef(values, each.simulated(run, 0.0)[0])[0, 1])
