@@ -79,7 +79,7 @@ def test_links_of_the_description_lead_somewhere(metadata: Message) -> None:
         if link.startswith(source):
             kind, tag, path = link.removeprefix(f"{source}/").partition("#")[0].split("/", 2)
             assert tag == f"v{metadata['Version']}"
-            assert (kind == "raw") == path.endswith((".png", ".svg"))
+            assert (kind == "raw") == path.endswith((".png", ".svg", ".webp"))
             assert (ROOT / path).is_file(), path
 
 
