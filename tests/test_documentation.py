@@ -6,13 +6,13 @@ from __future__ import annotations
 import ast
 import os
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -134,29 +134,22 @@ def test_site_is_whole_and_offline(site: Path) -> None:
 
 
 @pytest.mark.slow
-def test_search_finds_what_people_look_for(site: Path) -> None:
+def test_search_finds_what_people_look_for(browser: Any, site: Path) -> None:
     """Typed into the search of the site in Chromium, opened from its file, without a network."""
-    program = shutil.which("chromium")
-    if program is None:
-        pytest.skip("needs Chromium")
-    with pytest.importorskip("playwright.sync_api").sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=program, args=["--headless", "--no-sandbox", "--disable-gpu"]
-        )
-        page = browser.new_page()
-        page.goto((site / "index.html").as_uri())
-        page.keyboard.press("/")
-        page.locator("[data-md-component=search-query]:focus").wait_for(timeout=60_000)
-        for query, wanted in SEARCHED.items():
-            # none is left of the query before
-            page.keyboard.press("Control+A")
-            page.keyboard.press("Backspace")
-            page.locator(".md-search-result__link").first.wait_for(state="detached", timeout=60_000)
-            # each key starts a search
-            page.keyboard.insert_text(query[:-1])
-            page.keyboard.type(query[-1])
-            page.locator(".md-search-result__link").first.wait_for(state="attached", timeout=60_000)
-            links = page.locator(".md-search-result__link").evaluate_all("found => found.map(each => each.href)")
-            shown = list(dict.fromkeys(re.sub(r"[?#].*", "", link).removeprefix(f"{site.as_uri()}/") for link in links))
-            assert wanted in shown[:7], (query, shown)
-        browser.close()
+    page = browser.new_page()
+    page.goto((site / "index.html").as_uri())
+    page.keyboard.press("/")
+    page.locator("[data-md-component=search-query]:focus").wait_for(timeout=60_000)
+    for query, wanted in SEARCHED.items():
+        # none is left of the query before
+        page.keyboard.press("Control+A")
+        page.keyboard.press("Backspace")
+        page.locator(".md-search-result__link").first.wait_for(state="detached", timeout=60_000)
+        # each key starts a search
+        page.keyboard.insert_text(query[:-1])
+        page.keyboard.type(query[-1])
+        page.locator(".md-search-result__link").first.wait_for(state="attached", timeout=60_000)
+        links = page.locator(".md-search-result__link").evaluate_all("found => found.map(each => each.href)")
+        shown = list(dict.fromkeys(re.sub(r"[?#].*", "", link).removeprefix(f"{site.as_uri()}/") for link in links))
+        assert wanted in shown[:7], (query, shown)
+    page.close()

@@ -28,7 +28,9 @@ def hermite_derivatives(left: RealArray, right: RealArray, step: float | RealArr
     count = left.shape[0]
     # h^j / j!: factors from derivatives to normalised coefficients; a run repeats few steps
     scales = (
-        _scales_of_one(2 * count, left.ndim, step) if isinstance(step, float) else _scales(2 * count, left.ndim, step)
+        _scales_of_one(2 * count, left.ndim, step)
+        if isinstance(step, float)
+        else hermite_scales(2 * count, left.ndim, step)
     )
     known = left * scales[:count]
     from_known, from_rest = _end_matrix(count)
@@ -38,7 +40,7 @@ def hermite_derivatives(left: RealArray, right: RealArray, step: float | RealArr
     return np.concatenate([left, rest / scales[count:]])
 
 
-def _scales(count: int, dimensions: int, step: float | RealArray) -> RealArray:
+def hermite_scales(count: int, dimensions: int, step: float | RealArray) -> RealArray:
     """Return h^j / j! for j < ``count``, shape (count, ...), to broadcast against arrays of derivatives."""
     width = np.asarray(step, dtype=np.float64)
     orders, factorials = _orders(count, dimensions - 1)
@@ -46,7 +48,7 @@ def _scales(count: int, dimensions: int, step: float | RealArray) -> RealArray:
     return scales
 
 
-_scales_of_one = lru_cache(maxsize=256)(_scales)
+_scales_of_one = lru_cache(maxsize=256)(hermite_scales)
 
 
 @cache

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.hermite import _scales, hermite_derivatives
+from flexfmu.cosim.engine.hermite import hermite_derivatives, hermite_scales
 from flexfmu.cosim.engine.master.program_image import FUNCTIONS, ProgramImage, program_image
 from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.engine.shared_library import library_texts
@@ -34,7 +34,7 @@ from flexfmu.cosim.experiment.parameters import scene_values
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
-from flexfmu.cosim.metrics.segments import _matrices, _quadrature
+from flexfmu.cosim.metrics.segments import control_matrices, quadrature_of
 from flexfmu.cosim.reports.plots import FEW_FRAMES, FRAMES, LONGEST, draw_plots
 from flexfmu.cosim.reports.report import render_report
 from flexfmu.cosim.reports.summary import summarise
@@ -274,7 +274,7 @@ def _table(prepared: PreparedScene, references: TrajectorySlave) -> _Table:
         )
         # powers by blocks as in the run: those of other lengths may be rounded otherwise
         widths = np.diff(block.known)
-        scales.append(_scales(2 * ENDS, 2, widths).reshape(2 * ENDS, -1).T[: block.steps])
+        scales.append(hermite_scales(2 * ENDS, 2, widths).reshape(2 * ENDS, -1).T[: block.steps])
         begins, ends = references.announced[:-1, :ENDS].swapaxes(0, 1), references.ended[1:].swapaxes(0, 1)
         formed = hermite_derivatives(begins, ends, widths[:, None]).swapaxes(0, 1)
         if not references.ends_exactly or not np.array_equal(formed, references.announced[:-1]):
@@ -291,15 +291,15 @@ def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, table: _Table
     model = model_facts(root)
     task, plan = _knots(run.plan.task), run.plan
     # starts as the FMU takes them, and where it rests at the end
-    starts = {name: float(each.value) for name, (each, _) in parts.plant._starts._starts.items()}
+    starts = dict(parts.plant.start_numbers)
     end, position = plan.end_pose
     rest = {f"joint{i}.reference.position": float(q) for i, q in enumerate(end, start=1)}
     if run.scene.cosimulation.drive != "motion":
         rest = {f"start.{axis}": float(value) for axis, value in zip("xy", position, strict=True)}
-    places = recorder._places
+    places = recorder.places
     rows = {
         name: [places[source.name][0], list(places[source.name][1])]
-        for name, source in prepared._recording._named.items()
+        for name, source in prepared.recording.named.items()
         if source.name in places
     }
     return {
@@ -337,9 +337,9 @@ def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, table: _Table
         "task": {"times": _doubles(task.times), "jets": _doubles(task.jets[:, :ENDS])},
         "analysis": {
             str(m): {
-                "control": _doubles(_matrices(m)[0]),
-                "highest": _doubles(_matrices(m)[1]),
-                "quadratures": {str(k): [_doubles(each) for each in _quadrature(m, k)] for k in (0, 2)},
+                "control": _doubles(control_matrices(m)[0]),
+                "highest": _doubles(control_matrices(m)[1]),
+                "quadratures": {str(k): [_doubles(each) for each in quadrature_of(m, k)] for k in (0, 2)},
             }
             for m in (3, 5)
         },
@@ -465,7 +465,7 @@ def _limits(table: _Table, trajectory: Trajectory) -> dict[str, Any]:
     return {
         "knots": _doubles(knots.times),
         "knot_jets": _doubles(knots.jets),
-        "knot_scales": _doubles(_scales(2 * ENDS, 2, np.diff(knots.times)).reshape(2 * ENDS, -1).T),
+        "knot_scales": _doubles(hermite_scales(2 * ENDS, 2, np.diff(knots.times)).reshape(2 * ENDS, -1).T),
         "jets": difference(jets(table.begins), table.times, "right"),
         "jumps": jumps.tolist(),
         "before": difference(jets(table.ends[jumps]), table.times[jumps], "left"),

@@ -56,7 +56,7 @@ class SceneRecording:
         self.needed = Selection(sources, selection.order, selection.step)
         # names in the scene's recording, for the names of the master's
         self._recorded: tuple[str, ...] = ()
-        self._named: Mapping[str, Source] = {}
+        self.named: Mapping[str, Source] = {}
 
     def follow(self, rigid: RigidMotion) -> None:
         """Complete recordings with another motion of the rigid robot from now on."""
@@ -86,8 +86,8 @@ class SceneRecording:
             if self._with_rigid:
                 found |= dict.fromkeys(self._rigid.names, Source(""))
             self._recorded = names
-            self._named = {name: source for name, source in found.items() if self._selection.keeps(name)}
-        return self._named
+            self.named = {name: source for name, source in found.items() if self._selection.keeps(name)}
+        return self.named
 
 
 def _short(name: str) -> str:

@@ -315,6 +315,11 @@ class PreparedScene:
         return self._parts
 
     @property
+    def recording(self) -> SceneRecording:
+        """What makes the scene's recording of the master's."""
+        return self._recording
+
+    @property
     def simulator(self) -> Simulator:
         """What simulates; there must have been a run."""
         assert self._simulator is not None

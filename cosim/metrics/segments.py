@@ -224,7 +224,7 @@ class Analysis:
             _address(duration),
             _address(left),
             _address(right),
-            *map(_address, _matrices(m)),
+            *map(_address, control_matrices(m)),
             *places,
             _address(self.kept),
         )
@@ -246,7 +246,7 @@ class Analysis:
         e is the estimated deviation of the signal's derivative from v; where only its magnitude is known, it has the
         direction of that derivative.
         """
-        quadrature, integrals = _quadrature(self._signal.orders, order), (c_double * 3)()
+        quadrature, integrals = quadrature_of(self._signal.orders, order), (c_double * 3)()
         points = CQuadrature(len(quadrature[0]), order, *map(_address, quadrature))
         self._library.metrics_products(self._signal, points, integrals)
         total = float(self._duration.sum())
@@ -276,7 +276,7 @@ def _address(array: NDArray[Any]) -> int:
 
 
 @cache
-def _matrices(m: int) -> tuple[RealArray, RealArray]:
+def control_matrices(m: int) -> tuple[RealArray, RealArray]:
     """Matrices from the terms to the control points (2 m, 2 m), and to the highest derivative at the start (2 m,)."""
     terms = ends_matrix(m)
     row = [_signed_binomial(k + 1, m - k) for k in range(m)], [_signed_binomial(k, m - k - 1) for k in range(m)]
@@ -285,7 +285,7 @@ def _matrices(m: int) -> tuple[RealArray, RealArray]:
 
 
 @cache
-def _quadrature(m: int, order: int) -> tuple[RealArray, ...]:
+def quadrature_of(m: int, order: int) -> tuple[RealArray, ...]:
     """Weights, values, shape and last of ``metrics_quadrature``."""
     # Gauss-Legendre on [0, 1], exact to degree 4 m + 1
     points, weights = np.polynomial.legendre.leggauss(2 * m + 1)

@@ -232,27 +232,29 @@ def summary_table(result: PlanResult) -> Table:
     return Table("Planned motion", ["", *NAMES, "ratio"], rows, note)
 
 
+FIGURES_SHOWN = ("Time [s]", "Residual [µm]", "Torque [N·m]", "RMS [N·m]", "Power [W]", "Energy [J]")
+"""Header of the figures that several tables have."""
+
+
+def _shown(found: Assessment) -> list[str]:
+    """The figures of `FIGURES_SHOWN`."""
+    others = (found.torque, found.rms_torque, found.power, found.energy)
+    return [f"{found.time:.4g}", f"{1e6 * found.residual:.3g}", *(f"{value:.4g}" for value in others)]
+
+
 def ways_table(result: PlanResult) -> Table:
     """What each way of a cycle needs, of the given and the chosen one."""
     rows = []
     for number, (goals, pair) in enumerate(zip(result.goals.ways, result.ways, strict=True), 1):
         for name, each in zip(NAMES, pair, strict=True):
-            figures = (each.time, 1e6 * each.residual, each.torque, each.rms_torque, each.power, each.energy)
-            rows.append(
-                [f"{number}, {name}", f"{goals.scene.payload.mass:.4g}", *(f"{value:.4g}" for value in figures)]
-            )
-    header = [
-        "Way",
-        "Payload [kg]",
-        "Time [s]",
-        "Residual [µm]",
-        "Torque [N·m]",
-        "RMS [N·m]",
-        "Power [W]",
-        "Energy [J]",
-    ]
+            rows.append([f"{number}, {name}", f"{goals.scene.payload.mass:.4g}", *_shown(each)])
     pauses = ", ".join(f"{goals.pause:g} s" for goals in result.goals.ways)
-    return Table("Ways of the cycle", header, rows, f"Each from rest; pauses after them: {pauses}.")
+    return Table(
+        "Ways of the cycle",
+        ["Way", "Payload [kg]", *FIGURES_SHOWN],
+        rows,
+        f"Each from rest; pauses after them: {pauses}.",
+    )
 
 
 def limits_table(found: Assessment) -> Table:
@@ -272,25 +274,16 @@ def front_table(result: PlanResult) -> Table:
     """The front and the motions to compare with, the fastest first."""
     rows = [
         [
-            each.candidate.label, each.candidate.method, f"{each.time:.4g}", f"{1e6 * each.residual:.3g}", f"{each.torque:.4g}",
-            f"{each.rms_torque:.4g}", f"{each.power:.4g}", f"{each.energy:.4g}", f"{each.jerk:.4g}", f"{1e3 * each.off_path:.3g}", standing(result, each),
+            each.candidate.label, each.candidate.method, *_shown(each), f"{each.jerk:.4g}", f"{1e3 * each.off_path:.3g}", standing(result, each),
         ]
         for each in result.table
     ]  # fmt: skip
-    units = [
-        "Time [s]",
-        "Residual [µm]",
-        "Torque [N·m]",
-        "RMS [N·m]",
-        "Power [W]",
-        "Energy [J]",
-        "Jerk [rad/s³]",
-        "Off path [mm]",
-    ]
     note = f"No other motion found beats one of these in every figure of {', '.join(result.axes)}."
     if len(result.table) > len(result.front):
         note = "Motions that no other one beats in every figure, and for comparison those of other planners and files."
-    return Table("Pareto front", ["Motion", "Method", *units, "Limits"], rows, note)
+    return Table(
+        "Pareto front", ["Motion", "Method", *FIGURES_SHOWN, "Jerk [rad/s³]", "Off path [mm]", "Limits"], rows, note
+    )
 
 
 def standing(result: PlanResult, found: Assessment) -> str:

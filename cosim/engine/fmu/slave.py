@@ -121,6 +121,11 @@ class FmuSlave:
             self._try_derivatives()
 
     @property
+    def start_numbers(self) -> Mapping[str, float]:
+        """Start values that the next run sets, as numbers."""
+        return self._starts.numbers
+
+    @property
     def rates_follow_inputs(self) -> bool:
         """Whether outputs stay continuous when inputs jump, while their derivatives jump: in model exchange they are those of states."""
         return self._fmu.is_exchange

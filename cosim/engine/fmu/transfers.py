@@ -400,6 +400,11 @@ class StartValues:
         """
         self._starts, self._is_new = {**self._given, **self._starting(changes)}, True
 
+    @property
+    def numbers(self) -> Mapping[str, float]:
+        """Name → start value, of those that aren't texts."""
+        return {name: float(each.value) for name, (each, _) in self._starts.items() if not isinstance(each.value, str)}
+
     def _starting(self, parameters: Mapping[str, Value]) -> dict[str, tuple[Setting, Checked]]:
         """Return name → start value and the call that sets it."""
         return {

@@ -190,21 +190,21 @@ def translation(schedule: Schedule, operation: Operation) -> Iterator[Instructio
     match operation.action:
         # outputs from a row of a table
         case Action.ANNOUNCE if table is not None and table.announced.shape[1] >= rows:
-            yield _table_row(lambda: table.announced, outputs, i, rows)
+            yield table_row(lambda: table.announced, outputs, i, rows)
         case Action.STEP if table is not None:
-            yield _table_row(lambda: table.ended, outputs, i, outputs.recorded)
+            yield table_row(lambda: table.ended, outputs, i, outputs.recorded)
         case Action.READ if table is not None:
             return
         # calls of an FMU, and copies between buffers
         case Action.READ:
             if outputs.indices.size:
-                yield from _transfer(outputs.transfer, when, i)
+                yield from transfer_of(outputs.transfer, when, i)
                 signals, failure = outputs.signals, lambda status, begin, end: outputs.not_finite(end)
                 yield Instruction(Opcode.FINITE, when, i, failure, count=signals.size, target=signals)
         case Action.FEED:
             for group in inputs.groups:
-                yield from _extrapolation(group, inputs.fed, when, i)
-            yield from _transfer(inputs.send, when, i)
+                yield from extrapolation(group, inputs.fed, when, i)
+            yield from transfer_of(inputs.send, when, i)
         case Action.STEP if isinstance(slave, FmuSlave) and (bound := slave.bound_step()) is not None:
             # noSetFMUStatePriorToCurrentPoint = true: the slave is never rolled back
             step, error = bound
@@ -237,10 +237,10 @@ def _sample(schedule: Schedule, operation: Operation) -> Iterator[Instruction]:
             case binding.Reevaluation():
                 yield evaluation(call.evaluation, when, i, call)
             case _:
-                yield from _transfer(call, when, i)
+                yield from transfer_of(call, when, i)
 
 
-def _table_row(table: Callable[[], RealArray], outputs: OutputPort, owner: int, rows: int) -> Instruction:
+def table_row(table: Callable[[], RealArray], outputs: OutputPort, owner: int, rows: int) -> Instruction:
     """Copies row ``point`` of the current table (points, orders, variables) into the port: its first ``rows`` orders."""
     _, orders, count = table().shape
     columns = np.arange(rows)[:, None] * count + outputs.indices
@@ -250,7 +250,7 @@ def _table_row(table: Callable[[], RealArray], outputs: OutputPort, owner: int, 
     return row
 
 
-def _extrapolation(group: SignalGroup, fed: RealArray, when: When, owner: int) -> Iterator[Instruction]:
+def extrapolation(group: SignalGroup, fed: RealArray, when: When, owner: int) -> Iterator[Instruction]:
     """The instructions equivalent to `SignalGroup.extrapolation`; a Python callback if signals are mapped by tables, or
     if a map changes the sign of rows that aren't extrapolated, which stay zero here."""
     mapping, count = group.transformation, group.coupling.order + 1
@@ -273,13 +273,13 @@ def _extrapolation(group: SignalGroup, fed: RealArray, when: When, owner: int) -
             yield Instruction(kind, when, owner, count=where.size, source=source, target=fed, places=where)
 
 
-def _transfer(call: Call, when: When, owner: int) -> Iterator[Instruction]:
+def transfer_of(call: Call, when: When, owner: int) -> Iterator[Instruction]:
     """The instructions of a bound transfer: in C where there is an equivalent, else a Python callback."""
     match call:
         # values first, then derivatives
         case binding.Both():
-            yield from _transfer(call.first, when, owner)
-            yield from _transfer(call.second, when, owner)
+            yield from transfer_of(call.first, when, owner)
+            yield from transfer_of(call.second, when, owner)
         # an FMI function on fixed buffers
         case Checked() if isinstance(call.call, partial):
             yield fmi_transfer(call.call, when, owner, lambda status, begin, end: call.error(status))

@@ -23,12 +23,12 @@ from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.compiled_loop import (
     Instruction,
     Opcode,
-    _extrapolation,
-    _table_row,
-    _transfer,
     evaluation,
+    extrapolation,
     gather,
     pointer,
+    table_row,
+    transfer_of,
     translation,
 )
 from flexfmu.cosim.engine.master.ports import InputPort, OutputPort
@@ -172,10 +172,10 @@ class _Builder:
         groups = [each for each in inputs.groups if any(each.source is schedule.outputs[k] for k in before)]
         found: list[Instruction | str] = []
         for group in groups:
-            found += _extrapolation(group, inputs.fed, always, i)
+            found += extrapolation(group, inputs.fed, always, i)
         match slave:
             case TrajectorySlave():
-                return [_table_row(lambda: slave.ended, outputs, i, outputs.recorded)]
+                return [table_row(lambda: slave.ended, outputs, i, outputs.recorded)]
             case FmuSlave():
                 sent = [self._sent(slave, inputs, group.slots, i) for group in groups]
                 return ["create", *found, *sent, "initialize", *self._read(outputs, i)]
@@ -192,7 +192,7 @@ class _Builder:
 
     @staticmethod
     def _read(outputs: OutputPort, i: int) -> Sequence[Instruction]:
-        return list(_transfer(outputs.transfer, When.ALWAYS, i)) if outputs.indices.size else []
+        return list(transfer_of(outputs.transfer, When.ALWAYS, i)) if outputs.indices.size else []
 
     def _sent(self, plant: FmuSlave, inputs: InputPort, slots: slice, i: int) -> Instruction:
         """Sets inputs of the FMU before its initialisation."""

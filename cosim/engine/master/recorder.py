@@ -67,7 +67,7 @@ class Recorder:
             for port in ports
         ]
         self._kept = [[(i, *each) for i, each in enumerate(signals) if keeps(each[0])] for signals in named]
-        self._places = _places(self._kept, [port.recorded for port in ports])
+        self.places = _places(self._kept, [port.recorded for port in ports])
         self._texts = {name for kept in self._kept for _, name, variable in kept if variable.type == "String"}
         # current signals: runs of successive ones, order by order
         self._signals: list[RealArray] = []
@@ -177,7 +177,7 @@ class Recorder:
         They use the recorder's memory; the next run has new memory, unless they are no longer in use.
         """
         self._own_references = min(self._own_references, self._references())
-        rows, places = self._rows(), self._places
+        rows, places = self._rows(), self.places
 
         def column(name: str) -> Column:
             unit, own = places[name]

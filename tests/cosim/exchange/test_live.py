@@ -5,9 +5,7 @@ from __future__ import annotations
 import base64
 import importlib
 import json
-import shutil
 import subprocess
-from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -135,20 +133,6 @@ def test_what_stays_as_recorded_is_said(monkeypatch: pytest.MonkeyPatch) -> None
     assert "it has no C of springs (SpringsAndDampers). All is as recorded." in run.live().html
     run = flexfmu.run(scene.replace({"cosimulation.step_control": {"tolerance": 1e-4}}))
     assert live_run(run).reason == "its communication steps are controlled"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """One browser for all tests."""
-    program = shutil.which("chromium")
-    if program is None:
-        pytest.skip("needs chromium")
-    with pytest.importorskip("playwright.sync_api").sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=program, args=["--headless", "--no-sandbox", "--disable-gpu"]
-        )
-        yield browser
-        browser.close()
 
 
 def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:

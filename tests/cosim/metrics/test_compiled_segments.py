@@ -118,7 +118,7 @@ def test_under_the_sanitizers(shape: tuple[int, int], count: int, sanitized: Pat
     (m, channels), order = shape, min(2, shape[0] - 1)
     ours = Analysis(signal)
     level = 0.7 * ours.peak()[0]
-    matrices, quadrature = compiled._matrices(m), compiled._quadrature(m, order)
+    matrices, quadrature = compiled.control_matrices(m), compiled.quadrature_of(m, order)
     arrays = [np.array(level), signal.duration, signal.left, signal.right, *matrices, *quadrature]
     sizes = np.array([count, channels, m, 2 * m + 1, order], dtype=np.uint64)
     given = sizes.tobytes() + b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)

@@ -4,7 +4,6 @@ recorded values, the mechanism moves."""
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -32,16 +31,6 @@ pytestmark = pytest.mark.slow
 
 MakeRun = Callable[..., Run]
 PAGES = ("report", "failed", "comparison", "measured", "workprec", "hard-cases", "paper")
-ARGUMENTS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
 
 
 @pytest.fixture(scope="module")
@@ -87,18 +76,6 @@ def folder(run: Run, make_run: MakeRun, tmp_path_factory: pytest.TempPathFactory
     for name, text in texts.items():
         (out / f"{name}.html").write_text(text, encoding="utf-8")
     return out
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """One browser for all tests."""
-    program = shutil.which("chromium")
-    if program is None:
-        pytest.skip("needs chromium")
-    with pytest.importorskip("playwright.sync_api").sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=ARGUMENTS)
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")
