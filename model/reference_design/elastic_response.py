@@ -23,7 +23,7 @@ from scipy.linalg import eigh
 
 from flexfmu.model.five_bar import FiveBar, assemble
 from flexfmu.model.radau import radau
-from flexfmu.model.reference_design.joint_spline import REST, JointSpline, reference_derivatives
+from flexfmu.model.reference_design.joint_spline import DesignedMotion
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.vectorised import Vectorised
@@ -101,14 +101,14 @@ class ElasticResponse:
         self._guess = np.zeros((len(self._start), 3 * steps, self.model.n))
         self._matrices: _Matrices | None = None
 
-    def of_spline(self, motion: JointSpline, *, derivatives: bool = True) -> Response:
-        """The response to a motion from rest to rest; its variables are [free coefficients of joint 1, of joint 2, T].
+    def of_motion(self, motion: DesignedMotion, *, derivatives: bool = True) -> Response:
+        """The response to a motion from rest to rest, with derivatives by its variables.
 
         Raises:
             EquilibriumError: Newton's method doesn't converge.
         """
         references = np.hstack(list(motion.evaluate(self.fractions)))
-        by = spline_derivatives(motion, self.fractions) if derivatives else None
+        by = motion.derivatives(self.fractions) if derivatives else None
         return self.respond(references, motion.duration, by, by_duration=derivatives)
 
     def respond(
@@ -302,9 +302,9 @@ class FleetResponse:
         ]
         self.fractions = self.parts[0].fractions
 
-    def of_spline(self, motion: JointSpline, *, derivatives: bool = True) -> Response:
+    def of_motion(self, motion: DesignedMotion, *, derivatives: bool = True) -> Response:
         """The response as of `ElasticResponse`; the end states of robots with fewer coordinates end with zeros."""
-        found = [part.of_spline(motion, derivatives=derivatives) for part in self.parts]
+        found = [part.of_motion(motion, derivatives=derivatives) for part in self.parts]
         return Response(*(joined([getattr(each, field.name) for each in found]) for field in fields(Response)))
 
     def transfer(self, duration: float) -> RealArray:
@@ -322,15 +322,6 @@ def joined(arrays: Sequence[RealArray]) -> RealArray:
         whole[(slice(first, first + len(each)), *map(slice, each.shape[1:]))] = each
         first += len(each)
     return whole
-
-
-def spline_derivatives(motion: JointSpline, fractions: RealArray) -> RealArray:
-    """Derivatives (N, 6, m) of [q_a, v_a, a_a] at fractions of T by [free coefficients of joint 1, of joint 2, T]."""
-    free = np.eye(len(motion.coefficients))[:, REST:-REST]
-    by_time = motion.evaluate(fractions) * (-np.arange(3) / motion.duration)[:, np.newaxis, np.newaxis]
-    return np.concatenate(
-        [reference_derivatives(motion, free, fractions), np.hstack(list(by_time))[..., np.newaxis]], 2
-    )
 
 
 AT_ROUNDING = 1e-13

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,9 +28,66 @@ REST = 4
 """Equal coefficients at each end: velocity, acceleration and jerk are zero there."""
 
 
+class DesignedMotion(Protocol):
+    """A motion of the joints from rest to rest, with m variables that a design may change; the last one is its duration."""
+
+    @property
+    def duration(self) -> float:
+        """Duration T [s]."""
+        ...
+
+    @property
+    def intervals(self) -> int:
+        """Number of equal parts of the duration that steps of an integration go with."""
+        ...
+
+    @property
+    def room(self) -> tuple[RealArray, RealArray]:
+        """Largest changes of the variables, down and up (m,)."""
+        ...
+
+    def with_duration(self, duration: float) -> Self:
+        """Return the motion with another duration."""
+        ...
+
+    def moved(self, change: RealArray) -> Self:
+        """Return the motion after a change of its variables (m,)."""
+        ...
+
+    def evaluate(self, fraction: ArrayLike, order: int = 2) -> RealArray:
+        """Return joint angles and their time derivatives at fractions of the duration, (order + 1, N, 2) [rad, rad/s, ...]."""
+        ...
+
+    def derivatives(self, fractions: RealArray) -> RealArray:
+        """Return derivatives (N, 6, m) of [q_a, v_a, a_a] at fractions of the duration by the variables."""
+        ...
+
+    def rates(self, fractions: RealArray) -> list[RealArray]:
+        """Return values whose bounds bound speeds, accelerations and jerks, three of (n, 2), wherever these fractions lie."""
+        ...
+
+    def rates_by(self, fractions: RealArray) -> list[RealArray]:
+        """Return their derivatives, three of (n, 2, m)."""
+        ...
+
+    def conditions(self) -> tuple[RealArray, RealArray]:
+        """Return values (c,) that must not be positive for a motion to exist, and their derivatives (c, m)."""
+        ...
+
+    def scale(self, unit: float) -> RealArray:
+        """Return the size (m,) of changes that count alike, for a usual duration [s]."""
+        ...
+
+    def metric(self, unit: float) -> RealArray:
+        """Return the squared size (m, m) of changes of the acceleration, relative to the largest one, and of the duration."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class JointSpline:
     """Joint angles as B-splines in normalised time, both with the same knots.
+
+    As a design its variables are [free coefficients of joint 1, of joint 2, T].
 
     Attributes:
         coefficients: of the basis functions [rad], shape (n, 2); n is the number of intervals + degree.
@@ -72,6 +130,59 @@ class JointSpline:
         points = np.atleast_1d(np.asarray(fraction, dtype=float))
         rows = [basis(self.degree, self.intervals, points, k) @ self.coefficients for k in range(order + 1)]
         return np.array([row / self.duration**k for k, row in enumerate(rows)])
+
+    @property
+    def room(self) -> tuple[RealArray, RealArray]:
+        """Largest changes of the variables: any."""
+        free = np.full(2 * (len(self.coefficients) - 2 * REST) + 1, np.inf)
+        return -free, free
+
+    def moved(self, change: RealArray) -> JointSpline:
+        """Return the motion after a change of its variables (m,)."""
+        coefficients = self.coefficients.copy()
+        coefficients[REST:-REST] += change[:-1].reshape(2, -1).T
+        return replace(self, coefficients=coefficients, duration=self.duration + float(change[-1]))
+
+    def derivatives(self, fractions: RealArray) -> RealArray:
+        """Return derivatives (N, 6, m) of [q_a, v_a, a_a] at fractions of the duration by the variables."""
+        free = np.eye(len(self.coefficients))[:, REST:-REST]
+        by_time = self.evaluate(fractions) * (-np.arange(3) / self.duration)[:, np.newaxis, np.newaxis]
+        return np.concatenate(
+            [reference_derivatives(self, free, fractions), np.hstack(list(by_time))[..., np.newaxis]], 2
+        )
+
+    def rates(self, fractions: RealArray) -> list[RealArray]:
+        """Return the coefficients of speeds, accelerations and jerks (n, 2); the first and last ones are zero."""
+        return [self._derived(k) @ self.coefficients / self.duration**k for k in (1, 2, 3)]
+
+    def rates_by(self, fractions: RealArray) -> list[RealArray]:
+        """Return their derivatives (n, 2, m)."""
+        found = []
+        for k, each in enumerate(self.rates(fractions), 1):
+            by_free = self._derived(k)[:, REST:-REST] / self.duration**k
+            own = np.stack([np.kron(unit, by_free) for unit in np.eye(2)], axis=1)
+            found.append(np.concatenate([own, -k * each[..., np.newaxis] / self.duration], axis=2))
+        return found
+
+    def conditions(self) -> tuple[RealArray, RealArray]:
+        """Return no conditions: a motion exists with any coefficients."""
+        return np.zeros(0), np.zeros((0, len(self.room[0])))
+
+    def scale(self, unit: float) -> RealArray:
+        """Return the size (m,) of changes that count alike: the swing of the joints, and a usual duration [s]."""
+        swing = float(np.ptp(self.coefficients, axis=0).max())
+        return np.append(np.full(len(self.room[0]) - 1, swing), unit)
+
+    def metric(self, unit: float) -> RealArray:
+        """Return the squared size (m, m) of changes of the acceleration, relative to the largest one, and of the duration."""
+        curve = derivative_matrix(self.degree, self.intervals, 2)
+        by_free = curve[:, REST:-REST]
+        found = np.kron(np.eye(2), by_free.T @ by_free) / np.abs(curve @ self.coefficients).max() ** 2
+        return np.pad(found, (0, 1)) + np.diag(np.append(np.zeros(len(found)), 0.1 * len(curve) / unit**2))
+
+    def _derived(self, order: int) -> RealArray:
+        """The matrix from coefficients to those of a derivative that aren't zero at rest."""
+        return derivative_matrix(self.degree, self.intervals, order)[REST - order : order - REST]
 
     def trajectory(self) -> PiecewisePolynomial:
         """Return the joints' motion in time, exactly."""

@@ -47,9 +47,8 @@ from flexfmu.model.reference_design.elastic_response import (
     free_modes,
     free_systems,
     joined,
-    spline_derivatives,
 )
-from flexfmu.model.reference_design.joint_spline import REST, JointSpline, derivative_matrix
+from flexfmu.model.reference_design.joint_spline import DesignedMotion
 from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.trajectories.jets import RealArray
@@ -137,7 +136,7 @@ class MotorLoads:
         self._fractions, self._holding, self._pause = fractions, holding, pause
         self.weights = np.tile(METHOD.matrix[-1], steps) / steps
 
-    def values(self, names: Iterable[str], motion: JointSpline, response: Response) -> dict[str, RealArray]:
+    def values(self, names: Iterable[str], motion: DesignedMotion, response: Response) -> dict[str, RealArray]:
         """The figures of these names."""
         return self.of_speeds(names, motion.evaluate(self._fractions, 1)[1], motion.duration, response.torque)
 
@@ -157,11 +156,11 @@ class MotorLoads:
         }
         return {name: find[name]() for name in names}
 
-    def speed_derivatives(self, motion: JointSpline) -> RealArray:
+    def speed_derivatives(self, motion: DesignedMotion) -> RealArray:
         """Derivatives of the joint speeds (N, 2, m)."""
-        return spline_derivatives(motion, self._fractions)[:, 2:4]
+        return motion.derivatives(self._fractions)[:, 2:4]
 
-    def derivatives(self, names: Iterable[str], motion: JointSpline, response: Response) -> dict[str, RealArray]:
+    def derivatives(self, names: Iterable[str], motion: DesignedMotion, response: Response) -> dict[str, RealArray]:
         """Their derivatives by the m variables, in one more dimension."""
         torque, by, duration = response.torque, response.torque_by, motion.duration
         found = {"torque": by}
@@ -198,47 +197,39 @@ class Inequalities:
 
 
 class LimitRows:
-    """The limits of motions of one size at each instant, row by row: references, loads of the motors, clearance.
+    """The limits at each instant, row by row: references, loads of the motors, clearance.
 
     Args:
         limits: the limits.
-        degree, intervals: of the splines.
-        motors: the figures of their loads.
+        fractions: instants (N,) as fractions of the duration.
+        motors: the figures of the motors' loads.
     """
 
-    def __init__(self, limits: MotionLimits, degree: int, intervals: int, motors: MotorLoads) -> None:
-        self.limits, self._motors = limits, motors
-        # the first and last coefficients of derivatives are zero
-        self._matrices = [derivative_matrix(degree, intervals, k)[REST - k : k - REST] for k in (1, 2, 3)]
+    def __init__(self, limits: MotionLimits, fractions: RealArray, motors: MotorLoads) -> None:
+        self.limits, self._fractions, self._motors = limits, fractions, motors
         self._largest = (limits.speed, limits.acceleration, limits.jerk)
-        self.free = intervals + degree - 2 * REST
         # of each load at all instants
         self._units = {name: each[:, np.newaxis] for name, each in {"torque": limits.torque, **limits.loads}.items()}
 
-    def values(self, motion: JointSpline, response: Response) -> tuple[RealArray, NDArray[np.intp]]:
+    def values(self, motion: DesignedMotion, response: Response) -> tuple[RealArray, NDArray[np.intp]]:
         """g (R,) and the groups (R,)."""
         parts = self._parts(motion, response)
         groups = [np.full(each.size, GROUPS.index(name)) for name, each in parts]
         return np.concatenate([each.ravel() for _, each in parts]), np.concatenate(groups)
 
-    def loads(self, motion: JointSpline, response: Response) -> dict[str, RealArray]:
+    def loads(self, motion: DesignedMotion, response: Response) -> dict[str, RealArray]:
         """Each load relative to its limit, with its sign, by name."""
         found = self._motors.values(self._units, motion, response)
         return {name: each / self._units[name] for name, each in found.items()}
 
-    def rows(self, motion: JointSpline, response: Response) -> Inequalities:
+    def rows(self, motion: DesignedMotion, response: Response) -> Inequalities:
         """The inequalities with derivatives."""
-        m = 2 * self.free + 1
-        found = []
-        for k, (matrix, each, largest) in enumerate(
-            zip(self._matrices, self._references(motion), self._largest, strict=True), 1
-        ):
-            block = np.zeros((len(matrix), 2, m))
-            for joint in range(2):
-                columns = slice(joint * self.free, (joint + 1) * self.free)
-                block[:, joint, columns] = matrix[:, REST:-REST] / (largest * motion.duration**k)
-            block[..., -1] = -k * each / motion.duration
-            found.append((np.sign(each)[..., np.newaxis] * block).reshape(-1, m))
+        conditions_by, found = motion.conditions()[1], list[RealArray]()
+        m = conditions_by.shape[1]
+        rates = motion.rates(self._fractions), motion.rates_by(self._fractions), self._largest
+        for each, rates_by, largest in zip(*rates, strict=True):
+            found.append((np.sign(each)[..., np.newaxis] * rates_by / largest).reshape(-1, m))
+        found.append(conditions_by)
         by = self._motors.derivatives(self._units, motion, response)
         for name, each in self.loads(motion, response).items():
             found.append(((np.sign(each) / self._units[name])[..., np.newaxis] * by[name]).reshape(-1, m))
@@ -249,7 +240,7 @@ class LimitRows:
         return Inequalities(*self.values(motion, response), np.concatenate(found), np.concatenate(deciding))
 
     def curvature(
-        self, motion: JointSpline, response: Response, prices: RealArray, of_cycle: Mapping[str, RealArray]
+        self, motion: DesignedMotion, response: Response, prices: RealArray, of_cycle: Mapping[str, RealArray]
     ) -> RealArray:
         """The curvature (m, m) of the loads, its positive part.
 
@@ -282,19 +273,14 @@ class LimitRows:
         values, vectors = np.linalg.eigh(found + cross + cross.T)
         return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
-    def _parts(self, motion: JointSpline, response: Response) -> list[tuple[str, RealArray]]:
+    def _parts(self, motion: DesignedMotion, response: Response) -> list[tuple[str, RealArray]]:
         """The group of each part of the rows, and g."""
-        found = [(name, np.abs(each) - 1.0) for name, each in zip(GROUPS[1:4], self._references(motion), strict=True)]
+        rates = GROUPS[1:4], motion.rates(self._fractions), self._largest
+        found = [(name, np.abs(each) / largest - 1.0) for name, each, largest in zip(*rates, strict=True)]
+        found.append(("speed", motion.conditions()[0]))
         found += [(name, np.abs(each) - 1.0) for name, each in self.loads(motion, response).items()]
         distances = self.limits.distances(response.position.reshape(-1, 2))[0]
         return [*found, ("clearance", -distances.reshape(-1, *response.position.shape[:2]) / DEPTH)]
-
-    def _references(self, motion: JointSpline) -> list[RealArray]:
-        """Coefficients of speed, acceleration and jerk, each relative to its limit (n_k, 2)."""
-        return [
-            matrix @ motion.coefficients / (motion.duration**k * largest)
-            for k, (matrix, largest) in enumerate(zip(self._matrices, self._largest, strict=True), 1)
-        ]
 
 
 def _deciding(name: str, values: RealArray) -> NDArray[np.bool_]:
@@ -451,7 +437,7 @@ class Effort:
         fractions: instants of responses (N,), the stages of equal steps.
     """
 
-    def __init__(self, aim: Aim, start: JointSpline, response: Response, fractions: RealArray) -> None:
+    def __init__(self, aim: Aim, start: DesignedMotion, response: Response, fractions: RealArray) -> None:
         self._aim, self._motors = aim, MotorLoads(fractions)
         self._name = "power" if aim == "energy" else "torque"
         self._weights = self._motors.weights[:, np.newaxis] / len(response.torque)
@@ -461,11 +447,11 @@ class Effort:
         self._unit = 1.0
         self._unit = self.value(start, response)
 
-    def value(self, motion: JointSpline, response: Response) -> float:
+    def value(self, motion: DesignedMotion, response: Response) -> float:
         """The cost of a motion."""
         return float((self._weights * self._costs(self._figures(motion, response))[0]).sum()) / self._unit
 
-    def derivatives(self, motion: JointSpline, response: Response) -> tuple[RealArray, RealArray]:
+    def derivatives(self, motion: DesignedMotion, response: Response) -> tuple[RealArray, RealArray]:
         """Gradient (m,) of the cost, and the positive part of its curvature (m, m)."""
         figures = self._figures(motion, response)
         by = self._motors.derivatives([self._name], motion, response)[self._name] / self._largest
@@ -473,7 +459,7 @@ class Effort:
         flat = by.reshape(-1, by.shape[-1])
         return np.asarray(slopes.ravel() @ flat), np.asarray((flat.T * curvatures.ravel()) @ flat)
 
-    def _figures(self, motion: JointSpline, response: Response) -> RealArray:
+    def _figures(self, motion: DesignedMotion, response: Response) -> RealArray:
         """Torques, or for the energy powers, (P, N, 2), relative to the largest of the first motion."""
         return np.asarray(self._motors.values([self._name], motion, response)[self._name] / self._largest)
 
@@ -486,7 +472,7 @@ class Effort:
         return y**power, power * y ** (power - 1), power * (power - 1) * y ** (power - 2)
 
 
-Motions = tuple[JointSpline, ...]
+Motions = tuple[DesignedMotion, ...]
 """One for each way."""
 
 
@@ -503,7 +489,7 @@ class Way:
 
     robots: Sequence[RobotVariant]
     limits: MotionLimits
-    start: JointSpline
+    start: DesignedMotion
     of_case: NDArray[np.intp] | None = None
 
     @property
@@ -540,6 +526,7 @@ class Linear:
         loads, loads_by: g (L,) of the loads of the cycle with their derivatives (L, m), and the indices of their groups (L,).
         amplitudes, amplitudes_by: modal amplitudes of each way (C, 2, k), with derivatives (C, 2, k, m).
         slope, curvature: of the cost, (m,) and (m, m).
+        room: largest steps of the variables, down and up (m,).
     """
 
     rows: tuple[Inequalities, ...]
@@ -550,6 +537,7 @@ class Linear:
     amplitudes_by: tuple[RealArray, ...]
     slope: RealArray
     curvature: RealArray
+    room: tuple[RealArray, RealArray]
 
 
 class _WayProgramme:
@@ -565,25 +553,17 @@ class _WayProgramme:
 
     def __init__(self, way: Way, parts: int, first: int, unit: float, aim: Aim) -> None:
         start, self.limits, self.cases = way.start, way.limits, way.cases
-        self.elastic = FleetResponse(way.robots, start.coefficients[0], parts * start.intervals)
+        before, after = start.evaluate([0.0, 1.0], 0)[0]
+        self.elastic = FleetResponse(way.robots, before, parts * start.intervals)
         self.effort = None
         if aim != "time":
-            response = self.elastic.of_spline(start, derivatives=False)
+            response = self.elastic.of_motion(start, derivatives=False)
             self.effort = Effort(aim, start, response, self.elastic.fractions)
-        self.vibration = ResidualVibration([part.model for part in self.elastic.parts], start.coefficients[-1])
+        self.vibration = ResidualVibration([part.model for part in self.elastic.parts], after)
         self.motors = MotorLoads(self.elastic.fractions, self.vibration.holding, way.limits.pause)
-        self.rows = LimitRows(way.limits, start.degree, start.intervals, self.motors)
-        m = 2 * self.rows.free + 1
-        self.columns = slice(first, first + m)
-        swing = float(np.ptp(start.coefficients, axis=0).max())
-        self.scale = np.concatenate([np.full(m - 1, swing), [unit]])
-        # changes of acceleration, relative to the largest one, and of the duration
-        curve = derivative_matrix(start.degree, start.intervals, 2)
-        by_free = curve[:, REST:-REST]
-        self.metric = np.zeros((m, m))
-        self.metric[:-1, :-1] = np.kron(np.eye(2), by_free.T @ by_free)
-        self.metric[:-1, :-1] /= np.abs(curve @ start.coefficients).max() ** 2
-        self.metric[-1, -1] = 0.1 * len(curve) / unit**2
+        self.rows = LimitRows(way.limits, self.elastic.fractions, self.motors)
+        self.scale, self.metric = start.scale(unit), start.metric(unit)
+        self.columns = slice(first, first + len(self.scale))
 
 
 class Stage:
@@ -618,7 +598,7 @@ class Stage:
     def state(self, motions: Motions, *, derivatives: bool = True, renewed: bool = False) -> State:
         """Evaluate motions; with derivatives, or if it is wanted, with new transfers of vibration from way to way."""
         pairs = list(zip(self.ways, motions, strict=True))
-        responses = tuple(way.elastic.of_spline(motion, derivatives=derivatives) for way, motion in pairs)
+        responses = tuple(way.elastic.of_motion(motion, derivatives=derivatives) for way, motion in pairs)
         if self.left is not None and (derivatives or renewed):
             self.left.renew([way.elastic.transfer(motion.duration) for way, motion in pairs])
         loads, amplitudes = self._loads(motions, responses), self.amplitudes(responses)
@@ -716,7 +696,7 @@ class Stage:
                     motion, response, of_rows[k], self._of_way(way, state.loads, of_loads, time)
                 )
             curvatures.append(curvature)
-        empty = np.zeros((0, m))
+        empty, (down, up) = np.zeros((0, m)), zip(*(motion.room for motion in state.motions), strict=True)
         return Linear(
             tuple(way.rows.rows(motion, response) for way, motion, response in triples),
             np.concatenate([np.zeros(0), *loads]),
@@ -726,6 +706,7 @@ class Stage:
             amplitudes_by,
             slope,
             self._diagonal(curvatures),
+            (np.concatenate(down), np.concatenate(up)),
         )
 
     def _of_way(
@@ -813,7 +794,8 @@ class Stage:
             cost[fixed], quadratic[fixed], quadratic[:, fixed], matrix[:, fixed] = 0.0, 0.0, 0.0, 0.0
             quadratic[fixed, fixed] = diagonal
         lower, upper = np.zeros(size), np.full(size, np.inf)
-        lower[:m], upper[:m] = -REACH, REACH
+        down, up = (each / self._scale for each in linear.room)
+        lower[:m], upper[:m] = np.maximum(down, -REACH), np.minimum(up, REACH)
         x, prices = solve_quadratic(
             quadratic * unit[:, np.newaxis] * unit, cost * unit, matrix * unit, np.concatenate(right), lower, upper
         )
@@ -873,12 +855,7 @@ class Stage:
 
     def _moved(self, motions: Motions, step: RealArray) -> Motions:
         """The motions after a step of the variables."""
-        found = []
-        for way, motion in zip(self.ways, motions, strict=True):
-            coefficients, own = motion.coefficients.copy(), step[way.columns]
-            coefficients[REST:-REST] += own[:-1].reshape(2, -1).T
-            found.append(JointSpline(coefficients, motion.duration + float(own[-1]), motion.degree))
-        return tuple(found)
+        return tuple(motion.moved(step[way.columns]) for way, motion in zip(self.ways, motions, strict=True))
 
     @staticmethod
     def _diagonal(blocks: Sequence[RealArray]) -> RealArray:

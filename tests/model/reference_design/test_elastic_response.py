@@ -109,7 +109,7 @@ def test_the_tableau_is_that_of_the_book() -> None:
 def test_the_response_is_that_of_the_fmu(motion: JointSpline) -> None:
     shipped = load_scene("barnard2012-6kg")
     elastic = response_of(shipped, motion, 200)
-    found = elastic.of_spline(motion, derivatives=False)
+    found = elastic.of_motion(motion, derivatives=False)
     for variant, values in enumerate(VARIANTS):
         run = flexfmu.run(shipped, trajectory=motion.trajectory(), tolerance=1e-8, parameters=values)
         time, stages = run.recording.time, elastic.fractions * motion.duration
@@ -125,9 +125,9 @@ def test_the_response_is_that_of_the_fmu(motion: JointSpline) -> None:
 
 def test_derivatives_are_those_of_finite_differences(scene: Scene, motion: JointSpline) -> None:
     elastic = response_of(scene, motion)
-    found = elastic.of_spline(motion)
+    found = elastic.of_motion(motion)
     direction = np.random.default_rng(0).standard_normal(found.end_by.shape[-1]) * 1e-5
-    above, below = (elastic.of_spline(changed(motion, sign * direction), derivatives=False) for sign in (1, -1))
+    above, below = (elastic.of_motion(changed(motion, sign * direction), derivatives=False) for sign in (1, -1))
     for name in ("position", "torque", "end"):
         difference = (getattr(above, name) - getattr(below, name)) / 2
         exact = getattr(found, f"{name}_by") @ direction
@@ -137,11 +137,11 @@ def test_derivatives_are_those_of_finite_differences(scene: Scene, motion: Joint
 def test_a_response_does_not_depend_on_the_motions_before_it(scene: Scene, motion: JointSpline) -> None:
     """Neither on another motion nor on one that has no solution."""
     elastic = response_of(scene, motion)
-    elastic.of_spline(motion.with_duration(0.5))
+    elastic.of_motion(motion.with_duration(0.5))
     with pytest.raises(EquilibriumError, match="has no solution"):
-        elastic.of_spline(motion.with_duration(0.004))
-    after = elastic.of_spline(motion)
-    np.testing.assert_allclose(after.end, response_of(scene, motion).of_spline(motion).end, atol=1e-9)
+        elastic.of_motion(motion.with_duration(0.004))
+    after = elastic.of_motion(motion)
+    np.testing.assert_allclose(after.end, response_of(scene, motion).of_motion(motion).end, atol=1e-9)
 
 
 def test_variants_at_rest_have_the_equilibria_and_the_frequencies_of_their_scenes(

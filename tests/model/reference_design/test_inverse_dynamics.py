@@ -54,7 +54,7 @@ def followed(robot: Scene, motion: PiecewisePolynomial, design: FlexibleReferenc
     """Largest distance of the flexible end effector from where it should be [m], its end state, largest error of the torque [N m]."""
     joints = design.motors
     response = ElasticResponse(robot, [{}], joints.coefficients[0], 4 * joints.intervals)
-    found = response.of_spline(joints, derivatives=False)
+    found = response.of_motion(joints, derivatives=False)
     time = response.fractions * joints.duration
     error = np.hypot(*(found.position[0] - motion.evaluate(time - LEAD, 0)[0]).T)
     torque = np.abs(found.torque[0] - design.torque(time))

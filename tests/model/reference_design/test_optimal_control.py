@@ -62,7 +62,7 @@ def given(scene: Scene) -> JointSpline:
 
 @pytest.fixture(scope="module")
 def limits(scene: Scene, variants: list[dict[str, float]], given: JointSpline) -> MotionLimits:
-    response = ElasticResponse(scene, variants, given.coefficients[0], 60).of_spline(given, derivatives=False)
+    response = ElasticResponse(scene, variants, given.coefficients[0], 60).of_motion(given, derivatives=False)
     return MotionLimits(abs(response.torque).max(axis=1), 20.0, 500.0, 4e4, 5e-6, above)
 
 
@@ -142,7 +142,7 @@ def test_residual_and_loads_of_the_motors_are_those_of_the_fmu(scene: Scene, giv
     motion = given.with_duration(0.3)
     elastic = ElasticResponse(scene, [{}], motion.coefficients[0], 128)
     response, vibration = (
-        elastic.of_spline(motion, derivatives=False),
+        elastic.of_motion(motion, derivatives=False),
         ResidualVibration([elastic.model], motion.coefficients[-1]),
     )
     bound = vibration.largest(response.end)
@@ -209,15 +209,15 @@ def test_the_effort_has_its_derivatives_and_falls_in_the_given_duration(
 ) -> None:
     """Its slope is that of finite differences; the best motion needs less than the given one, in the same time and within limits."""
     elastic = ElasticResponse(scene, variants, given.coefficients[0], 40)
-    response = elastic.of_spline(given)
+    response = elastic.of_motion(given)
     effort, direction = Effort(aim, given, response, elastic.fractions), np.zeros_like(given.coefficients)
     direction[4:-4] = 1e-4 * np.random.default_rng(0).standard_normal(direction[4:-4].shape)
     moved = [replace(given, coefficients=given.coefficients + sign * direction) for sign in (1, -1)]
-    values = [effort.value(each, elastic.of_spline(each, derivatives=False)) for each in moved]
+    values = [effort.value(each, elastic.of_motion(each, derivatives=False)) for each in moved]
     slope, curvature = effort.derivatives(given, response)
     assert slope[:-1] @ direction[4:-4].T.ravel() == pytest.approx(0.5 * (values[0] - values[1]), rel=1e-3)
     assert np.linalg.eigvalsh(curvature).min() > -1e-9 * abs(curvature).max()
     *_, last = optimal_motion([Way([RobotVariant(scene, each) for each in variants], limits, given)], aim=aim)
     assert last.checked
     assert last.motions[0].duration == given.duration
-    assert effort.value(last.motions[0], elastic.of_spline(last.motions[0], derivatives=False)) < 0.9
+    assert effort.value(last.motions[0], elastic.of_motion(last.motions[0], derivatives=False)) < 0.9

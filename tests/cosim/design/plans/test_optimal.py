@@ -103,7 +103,7 @@ def test_what_the_fmu_finds_beyond_a_limit_is_taken_off_it(
         start, limits = ways[0].start, ways[0].limits
         response = ElasticResponse(goals.scene, variants, start.coefficients[0], 60)
         for duration in np.arange(0.3, 1.2, 0.03):
-            torque = response.of_spline(motion := start.with_duration(float(duration)), derivatives=False).torque
+            torque = response.of_motion(motion := start.with_duration(float(duration)), derivatives=False).torque
             if (np.abs(torque).max(axis=1) < 1.2 * limits.torque[[0, 1, 2]]).all():
                 yield Improvement((motion,), dict.fromkeys(GROUPS, 0.0), 0.0, checked=True)
                 return
