@@ -51,10 +51,11 @@ from flexfmu.model.reference_design.elastic_response import (
 from flexfmu.model.reference_design.joint_spline import DesignedMotion
 from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
 from flexfmu.model.scene.errors import EquilibriumError
+from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 
 Distances = Callable[[RealArray], tuple[RealArray, RealArray]]
-"""Points (N, 2) [m] → distances (K, N) [m], negative where the end effector must not be, and their gradients (K, N, 2)."""
+"""Points of ways (P, N, 2) [m] → distances (K, P, N) [m], negative where the end effector must not be, and their gradients (K, P, N, 2)."""
 
 GROUPS = (
     "torque", "speed", "acceleration", "jerk", "clearance", "residual", "power", "rms_torque", "energy", "supply_power",
@@ -92,6 +93,7 @@ class MotionLimits:
         distances: to what the end effector must keep clear of.
         loads: largest values of further figures of `MotorLoads` at each instant, by name.
         pause: time at rest after the motion [s], which RMS torques contain.
+        settled_within: time after the motion from which the residual vibration counts [s].
     """
 
     torque: RealArray
@@ -102,6 +104,7 @@ class MotionLimits:
     distances: Distances
     loads: Mapping[str, RealArray] = field(default_factory=dict)
     pause: float = 0.0
+    settled_within: float = 0.0
 
     def tightened(self, factors: Mapping[str, float]) -> MotionLimits:
         """The limits, each divided by a factor; 1 where there is none."""
@@ -233,8 +236,7 @@ class LimitRows:
         by = self._motors.derivatives(self._units, motion, response)
         for name, each in self.loads(motion, response).items():
             found.append(((np.sign(each) / self._units[name])[..., np.newaxis] * by[name]).reshape(-1, m))
-        gradient = self.limits.distances(response.position.reshape(-1, 2))[1]
-        gradient = np.asarray(gradient).reshape(-1, *response.position.shape)
+        gradient = self.limits.distances(response.position)[1]
         found.append((-np.einsum("kpnj,pnjm->kpnm", gradient, response.position_by) / DEPTH).reshape(-1, m))
         deciding = [_deciding(name, each).ravel() for name, each in self._parts(motion, response)]
         return Inequalities(*self.values(motion, response), np.concatenate(found), np.concatenate(deciding))
@@ -279,8 +281,7 @@ class LimitRows:
         found = [(name, np.abs(each) / largest - 1.0) for name, each, largest in zip(*rates, strict=True)]
         found.append(("speed", motion.conditions()[0]))
         found += [(name, np.abs(each) - 1.0) for name, each in self.loads(motion, response).items()]
-        distances = self.limits.distances(response.position.reshape(-1, 2))[0]
-        return [*found, ("clearance", -distances.reshape(-1, *response.position.shape[:2]) / DEPTH)]
+        return [*found, ("clearance", -self.limits.distances(response.position)[0] / DEPTH)]
 
 
 def _deciding(name: str, values: RealArray) -> NDArray[np.bool_]:
@@ -298,12 +299,13 @@ class ResidualVibration:
     Args:
         models: the variants of each scene.
         end: joint angles after the motion (2,) [rad].
+        settled_within: time after the motion from which the vibration counts [s].
     """
 
-    def __init__(self, models: Sequence[VariantModel], end: RealArray) -> None:
+    def __init__(self, models: Sequence[VariantModel], end: RealArray, settled_within: float = 0.0) -> None:
         self.rests = [model.rest(end) for model in models]
         # from elastic coordinates and their rates at the end: (P, 2, k, n)
-        self.matrices = joined([_to_amplitudes(rest) for rest in self.rests])
+        self.matrices = joined([_to_amplitudes(rest, settled_within) for rest in self.rests])
         self.holding = joined([rest.torque for rest in self.rests])
         self._rest = joined([rest.elastic for rest in self.rests])
         self.error = np.zeros((len(self._rest), 2, self._rest.shape[1]))
@@ -380,11 +382,16 @@ class LeftVibration:
         return [found[:, w].reshape(len(found), *shape) for w in range(found.shape[1])]
 
 
-def _to_amplitudes(rest: Rest) -> RealArray:
-    """Matrices (P, 2, k, n) from elastic coordinates and their rates to displacements of the end effector by the k slowest modes."""
-    modes = free_modes(rest)
+def _to_amplitudes(rest: Rest, settled_within: float) -> RealArray:
+    """Matrices (P, 2, k, n) from elastic coordinates and their rates to displacements of the end effector by the k slowest modes, which
+    have decayed for a time [s]."""
+    modes, n = free_modes(rest), rest.elastic.shape[1]
     count = int((modes.frequencies < SLOW * modes.frequencies[:, :1]).any(axis=0).sum())
     size = np.linalg.norm(modes.displacements, axis=1)[:, :count, np.newaxis]
+    if settled_within:
+        shapes = np.linalg.inv(modes.coordinates)
+        damping = np.einsum("pik,pij,pjk->pk", shapes, rest.jacobian[:, :n, n : 2 * n], shapes)
+        size = size * np.exp(-0.5 * settled_within * damping)[:, :count, np.newaxis]
     coordinates = modes.coordinates[:, :count] * size
     return np.stack([coordinates, coordinates / modes.frequencies[:, :count, np.newaxis]], axis=1)
 
@@ -559,7 +566,8 @@ class _WayProgramme:
         if aim != "time":
             response = self.elastic.of_motion(start, derivatives=False)
             self.effort = Effort(aim, start, response, self.elastic.fractions)
-        self.vibration = ResidualVibration([part.model for part in self.elastic.parts], after)
+        models = [part.model for part in self.elastic.parts]
+        self.vibration = ResidualVibration(models, after, way.limits.settled_within)
         self.motors = MotorLoads(self.elastic.fractions, self.vibration.holding, way.limits.pause)
         self.rows = LimitRows(way.limits, self.elastic.fractions, self.motors)
         self.scale, self.metric = start.scale(unit), start.metric(unit)
@@ -849,7 +857,7 @@ class Stage:
                 step = self.step(self.corrected(linear, step, last), penalty)[0]
                 last = self.state(self._moved(state.motions, step), derivatives=False)
                 found = min(found, last, key=self.merit)
-        except EquilibriumError:
+        except (EquilibriumError, TrajectoryError):
             return state
         return found
 

@@ -169,13 +169,26 @@ class Clearance:
     thin: bool = False
 
     def distances(self, points: RealArray) -> tuple[RealArray, RealArray]:
-        """Distances (K, N) [m] of points (N, 2) to each region and line, negative where the point must not be, and gradients (K, N, 2)."""
-        found = [region.distance(points) for region in self.regions]
+        """Distances (K, ...) [m] of points (..., 2) to each region and line, negative where the point must not be, and gradients (K, ..., 2)."""
+        flat = points.reshape(-1, 2)
+        found = [region.distance(flat) for region in self.regions]
         for origin, normal in zip(self.origins, self.normals, strict=True):
-            found.append(((points - origin) @ normal, np.broadcast_to(normal, points.shape)))
+            found.append(((flat - origin) @ normal, np.broadcast_to(normal, flat.shape)))
         if not found:
-            return np.full((1, len(points)), np.inf), np.zeros((1, *points.shape))
-        return np.array([each for each, _ in found]), np.array([each for _, each in found])
+            return np.full((1, *points.shape[:-1]), np.inf), np.zeros((1, *points.shape))
+        distance, gradient = (np.array(each) for each in zip(*found, strict=True))
+        return distance.reshape(-1, *points.shape[:-1]), gradient.reshape(-1, *points.shape)
+
+    def of_ways(self, ways: RealArray) -> tuple[RealArray, RealArray]:
+        """The same for points of ways (P, N, 2), where what a way passes through counts by the way around it, with gradients of zero."""
+        distance, gradient = self.distances(ways)
+        for k, region in enumerate(self.regions if self.thin else ()):
+            for p, way in enumerate(ways):
+                for each in region.stretches(way):
+                    if each.around:
+                        place = k, p, round(each.deepest)
+                        distance[place], gradient[place] = min(distance[place], -each.around), 0.0
+        return distance, gradient
 
     def distance(self, points: RealArray) -> RealArray:
         """The smallest of these distances (N,) [m]."""

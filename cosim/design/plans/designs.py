@@ -1,21 +1,21 @@
 """What a search may choose of a motion: corners, lift, time law and shapers, and the joint references that follow.
 
 A path is tabulated once by its arc length, with the joint angles and two derivatives; every time law, duration and shaper on it
-then costs a millisecond. Kinds of corners, time laws and shapers are a motion family, whose numbers are points of a unit cube.
+then costs a millisecond. Kinds of corners and shapers are a motion family, whose numbers are points of a unit cube. With the duration
+they are the variables of a motion that optimal control improves: the derivatives of references are differences.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from functools import lru_cache, reduce
-from itertools import product
-from math import exp, log
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache, reduce
+from math import exp, fsum, log
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from flexfmu.cosim.design.plans.quick_runs import JointMotion
 from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.motion import TrajectorySection
@@ -23,62 +23,49 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.curves import Point
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
-from flexfmu.trajectories.path import BLENDS, HIGHEST_RATIO, LOWEST_RATIO, PickAndPlacePath
+from flexfmu.trajectories.path import BLENDS, PickAndPlacePath
 from flexfmu.trajectories.piecewise import PiecewisePolynomial, spline
 from flexfmu.trajectories.profiles import PROFILES, evaluate_profile
 from flexfmu.trajectories.shapers.designs import design as design_shaper
-from flexfmu.trajectories.shapers.designs import specified_insensitivity
 from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence, Oscillator
 
 NODES = 400
 """Nodes of a tabulated path; quintics between them are exact to 1e-9 rad."""
 
-Values = tuple[tuple[str, float | tuple[float, ...]], ...]
-"""Names and values of a profile's parameters."""
-
 
 @dataclass(frozen=True)
 class ShaperChoice:
-    """A shaper.
+    """A shaper of the joint references.
 
     Attributes:
-        kind: key of `flexfmu.trajectories.shapers.designs.SHAPERS`, or ``si``.
-        frequencies: of the mode [Hz]; of ``si`` the lowest and the highest of its band.
+        kind: key of `flexfmu.trajectories.shapers.designs.SHAPERS`.
+        frequency: of the mode [Hz].
         ratio: damping ratio.
-        apply: ``joints`` or ``path``.
-        tolerance: of ``si``, see `specified_insensitivity`.
     """
 
     kind: str
-    frequencies: tuple[float, ...]
+    frequency: float
     ratio: float
-    apply: str
-    tolerance: float = 0.05
 
     @property
     def section(self) -> dict[str, Any]:
         """The keys of the scene file's `[[shaper]]` table."""
-        if self.kind == "si":
-            band = list(self.frequencies)
-            return {"kind": "si", "band": band, "ratio": self.ratio, "tolerance": self.tolerance, "apply": self.apply}
-        modes = [{"frequency": each, "ratio": self.ratio} for each in self.frequencies]
-        return {"kind": self.kind, "modes": modes, "apply": self.apply}
+        modes = [{"frequency": self.frequency, "ratio": self.ratio}]
+        return {"kind": self.kind, "modes": modes, "apply": "joints"}
 
     @property
     def sequence(self) -> ImpulseSequence:
         """The impulses.
 
         Raises:
-            TrajectoryError: there is no such shaper for this damping or band.
+            TrajectoryError: there is no such shaper for this damping.
         """
-        return _sequence(self.kind, self.frequencies, self.ratio, self.tolerance)
+        return _sequence(self)
 
 
 @lru_cache(maxsize=1024)
-def _sequence(kind: str, frequencies: tuple[float, ...], ratio: float, tolerance: float) -> ImpulseSequence:
-    if kind == "si":
-        return specified_insensitivity(frequencies[0], frequencies[1], tolerance, ratio)
-    return design_shaper(kind, [Oscillator(each, ratio) for each in frequencies])
+def _sequence(choice: ShaperChoice) -> ImpulseSequence:
+    return design_shaper(choice.kind, [Oscillator(choice.frequency, choice.ratio)])
 
 
 @dataclass(frozen=True)
@@ -89,8 +76,7 @@ class Design:
         blend: kind of the corners.
         corner: their height and width [m].
         height: of the lift [m].
-        profile: kind of the time law.
-        parameters: of the time law.
+        law: coefficients of the time law, a polynomial.
         shapers: all shapers.
         duration: without shapers [s].
     """
@@ -98,20 +84,19 @@ class Design:
     blend: str
     corner: tuple[float, float]
     height: float
-    profile: str
-    parameters: Values
+    law: tuple[float, ...]
     shapers: tuple[ShaperChoice, ...]
     duration: float
 
-    def sequence(self, place: str) -> ImpulseSequence:
-        """All impulses on ``joints`` or on ``path``."""
-        chosen = [each.sequence for each in self.shapers if each.apply == place]
-        return reduce(ImpulseSequence.convolve, chosen) if chosen else UNSHAPED
+    @property
+    def sequence(self) -> ImpulseSequence:
+        """All impulses."""
+        return reduce(ImpulseSequence.convolve, [each.sequence for each in self.shapers], UNSHAPED)
 
     @property
     def total(self) -> float:
         """Duration with shapers [s]."""
-        return self.duration + sum(each.sequence.duration for each in self.shapers)
+        return self.duration + self.sequence.duration
 
     @property
     def changes(self) -> dict[str, Any]:
@@ -120,7 +105,7 @@ class Design:
         return {
             "trajectory.height": self.height,
             "trajectory.blend": {"kind": self.blend, "height": height, "width": width},
-            "trajectory.profile": {"kind": self.profile, **{name: _plain(each) for name, each in self.parameters}},
+            "trajectory.profile": {"kind": "polynomial", "coefficients": list(self.law)},
             "trajectory.duration": self.duration,
             "shaper": [each.section for each in self.shapers],
         }
@@ -129,16 +114,12 @@ class Design:
     def label(self) -> str:
         """Corners, time law and shapers in a line."""
         height, width = self.corner
-        shapers = " x ".join(f"{each.kind} on {each.apply}" for each in self.shapers) or "unshaped"
-        return f"{self.blend} {1e3 * width:.0f} x {1e3 * height:.0f} mm, {self.profile}, {shapers}"
+        shapers = " x ".join(f"{each.kind} on joints" for each in self.shapers) or "unshaped"
+        return f"{self.blend} {1e3 * width:.0f} x {1e3 * height:.0f} mm, polynomial, {shapers}"
 
 
-def _plain(value: float | tuple[float, ...]) -> float | list[float]:
-    return list(value) if isinstance(value, tuple) else value
-
-
-def references(scene: Scene, design: Design, steps: int) -> JointMotion:
-    """Joint references of a design at the ends of so many equal steps.
+def references(scene: Scene, design: Design, time: RealArray) -> RealArray:
+    """Joint references of a design, with two time derivatives, at instants (N,) [s]: (3, N, 2) [rad, rad/s, rad/s²].
 
     Raises:
         TrajectoryError: the path or a shaper is not feasible.
@@ -147,23 +128,17 @@ def references(scene: Scene, design: Design, steps: int) -> JointMotion:
     assert isinstance(section, TrajectorySection)
     corner = design.blend, *design.corner
     table = path_table(scene.mechanism, section.start, section.lift, section.width, design.height, corner)
-    on_path, on_joints = design.sequence("path"), design.sequence("joints")
-    total = design.duration + on_path.duration + on_joints.duration
-    time = np.linspace(0.0, total, steps + 1)
-    # arc length and its derivatives, delayed by all impulses; profiles are at rest at both ends
-    delays = np.add.outer(on_joints.times, on_path.times)
-    eta = np.clip((time - delays[:, :, None]) / design.duration, 0.0, 1.0)
-    profile = _profile(design.profile, design.parameters)
-    fractions = evaluate_profile(profile, eta.ravel(), 2).derivatives().reshape(3, *eta.shape)
-    fractions = np.einsum("p,kjpn->kjn", np.array(on_path.amplitudes), fractions)
+    # arc length and its derivatives, delayed by each impulse; time laws are at rest at both ends
+    impulses = design.sequence
+    eta = np.clip((time - np.array(impulses.times)[:, None]) / design.duration, 0.0, 1.0)
+    fractions = evaluate_profile(_profile(design.law), eta.ravel(), 2).derivatives()
     length = table.duration
-    s, speed, change = (fractions * length / design.duration ** np.arange(3)[:, None, None]).reshape(3, -1)
-    # joint angles by the chain rule, then the shaper's sum
+    s, speed, change = fractions * length / design.duration ** np.arange(3)[:, None]
+    # joint angles by the chain rule, then the shapers' sum
     angle, slope, bend = table.evaluate(np.clip(s, 0.0, length), 2)
     speed, change = speed[:, None], change[:, None]
     joints = np.stack([angle, slope * speed, bend * speed**2 + slope * change])
-    shaped = np.einsum("j,kjni->kni", np.array(on_joints.amplitudes), joints.reshape(3, -1, time.size, 2))
-    return JointMotion(time, shaped)
+    return np.asarray(np.einsum("j,kjni->kni", np.array(impulses.amplitudes), joints.reshape(3, -1, time.size, 2)))
 
 
 @lru_cache(maxsize=16)
@@ -194,17 +169,21 @@ def path_table(
 
 
 @lru_cache(maxsize=256)
-def _profile(kind: str, parameters: Values) -> Any:
-    return PROFILES[kind].make(**dict(parameters))
+def _profile(law: tuple[float, ...]) -> Any:
+    return PROFILES["polynomial"].make(coefficients=law)
 
 
-def polynomial(shape: Sequence[float]) -> Values:
-    """Parameters of a time law with the velocity c (η(1 - η))² (1 + Σ shape_k P_k(2η - 1)), with Legendre polynomials from k = 1.
+def polynomial(shape: Sequence[float]) -> tuple[float, ...]:
+    """Coefficients of a time law with the velocity c (η(1 - η))² (1 + Σ shape_k P_k(2η - 1)), with Legendre polynomials from k = 1.
 
     It is at rest with zero acceleration at both ends; without a shape it is the polynomial of fifth degree.
     """
     law = np.array([1.0, *shape]) @ _laws(len(shape))
-    return (("coefficients", tuple((law / law.sum()).tolist())),)
+    law /= law.sum()
+    # large coefficients of both signs leave rounding errors of the end, which small ones take back
+    place, slope = fsum(law) - 1.0, fsum(law * np.arange(len(law)))
+    law[2:4] += [slope - 3.0 * place, 2.0 * place - slope]
+    return tuple(law.tolist())
 
 
 @lru_cache
@@ -219,26 +198,17 @@ def _laws(count: int) -> RealArray:
     return found
 
 
-LAWS = {"polynomial": 8, "double-s": 2, "modified-trapezoid": 0}
-"""Time laws → number of their parameters. Their accelerations don't jump; the others lie between them."""
-
 SHAPE = 2.5
-"""Largest magnitude of the numbers of `flexfmu.cosim.design.plans.designs.polynomial`."""
+"""Largest magnitude of the numbers of `polynomial`."""
 
 USUAL_SHAPE = (0.0, 0.16, 0.0, 0.17, 0.0, -0.04, 0.0, 0.1)
-"""Those with which its velocity is about that of the modified trapezoid."""
+"""Those with which its velocity is about that of a modified trapezoid."""
 
 SLOWEST, PLACES = 0.03, np.linspace(-1.0, 1.0, 41)
 """Smallest value of that shape, for a motion that doesn't stop on its way, and places where it is examined."""
 
-CORNERS = ("lame", "polar", "clothoid")
-"""Kinds of corners."""
-
 NARROWEST = 0.3
 """Smallest width of a corner, as a fraction of its height."""
-
-SHORTEST, LONGEST = 0.3, 2.5
-"""Range of total times, as multiples of the given one."""
 
 FREQUENCIES = 0.8, 1.3
 """Range of the frequencies that shapers are designed for, as multiples of those at the end pose: along the path they differ."""
@@ -246,130 +216,87 @@ FREQUENCIES = 0.8, 1.3
 LEAST_TIME = 0.05
 """Smallest part of the total time that a motion without shapers takes."""
 
-SINGLE = ("zv", "zvd", "ei", "zvdd", "2-hump-ei")
-"""Shapers for one mode."""
+INTERVALS, LONGEST = 48, 0.01
+"""Least number of parts of a motion, and longest one [s]."""
 
-PAIRS = (("zv", "zv"), ("zvd", "zv"), ("zv", "zvd"), ("zvd", "zvd"), ("ei", "ei"), ("zvdd", "zvd"))
-"""Shapers for the two lowest modes."""
+DIFFERENCE = 1e-3
+"""Change of a number, and relative one of the duration, for derivatives."""
 
-BAND_ENDS, LEVELS = (0.75, 1.25), (0.005, 0.1)
-"""Range of the ends of a specified-insensitivity shaper's band, as multiples of the lowest and the highest mode, and of its tolerance."""
-
-Use = tuple[str, int, str]
-"""Kind of a shaper, number of its mode (of ``si`` that of the highest one), and where it is applied."""
+PATHS = ((0.7, 0.8, 0.5), (1.0, 1.0, 0.1), (0.2, 0.8, 0.5))
+"""Lift, height and width of the corners to begin with, as points of the unit cube: usual ones, and what goes around walls."""
 
 
 @dataclass(frozen=True)
 class MotionFamily:
-    """Kinds of what a motion consists of.
+    """Motions whose corners and shapers have the same kinds.
+
+    Their numbers (n,) are a point of the unit cube: lift, height and width of the corners, shape of the time law, frequencies of the
+    shapers.
 
     Attributes:
+        scene: whose path it is.
+        heights: smallest and largest height of the path [m].
         blend: kind of the corners.
-        law: kind of the time law.
-        shapers: all shapers.
+        shapers: kind of each, and its mode at the end of the motion.
     """
 
+    scene: Scene
+    heights: tuple[float, float]
     blend: str
-    law: str
-    shapers: tuple[Use, ...]
+    shapers: tuple[tuple[str, Oscillator], ...] = ()
 
-
-def shaper_uses(modes: int) -> list[tuple[Use, ...]]:
-    """All combinations of shapers for a robot with so many modes."""
-    found: list[tuple[Use, ...]] = [()]
-    if modes:
-        found += [(("si", k, place),) for k in range(min(modes, 2)) for place in ("joints", "path")]
-        found += [((kind, 0, place),) for kind in SINGLE for place in ("joints", "path")]
-    if modes > 1:
-        found += [((a, 0, "joints"), (b, 1, "joints")) for a, b in PAIRS]
-        found += [(("zvd", 0, "path"), ("zvd", 1, "path")), (("zvd", 0, "joints"), ("zvd", 1, "path"))]
-    return found
-
-
-@dataclass(frozen=True)
-class Space:
-    """What a search may choose from.
-
-    Attributes:
-        modes: of vibration at the end of the motion, lowest first.
-        lift: smallest and largest height of the path [m].
-        width: of the crossing [m].
-        usual: total time of the given motion [s].
-        total: total time of all motions [s]; None where it is free.
-    """
-
-    modes: tuple[Oscillator, ...]
-    lift: tuple[float, float]
-    width: float
-    usual: float
-    total: float | None = None
-
-    def size(self, family: MotionFamily) -> int:
-        """Number of numbers of a family: time, lift, height and width of the corners, time law, frequencies."""
-        return 4 + LAWS[family.law] + sum(3 if kind == "si" else 1 for kind, _, _ in family.shapers)
-
-    def start(self, family: MotionFamily) -> RealArray:
-        """A point (n,) of the unit cube to begin with: high corners, a smooth time law and the modes' own frequencies."""
+    def start(self, path: tuple[float, ...]) -> RealArray:
+        """Numbers to begin with: lift and corners, a smooth time law, and frequencies above the modes' own."""
         low, high = FREQUENCIES
-        law = {"polynomial": [0.5 + 0.5 * each / SHAPE for each in USUAL_SHAPE], "double-s": [0.8, 0.6]}.get(
-            family.law, []
-        )
-        own = [(1.05 - low) / (high - low)]
-        shapers = [number for kind, _, _ in family.shapers for number in ([0.4, 0.6, 0.4] if kind == "si" else own)]
-        return np.array([0.5, 0.7, 0.8, 0.5, *law, *shapers])
+        law = [0.5 + 0.5 * each / SHAPE for each in USUAL_SHAPE]
+        return np.array([*path, *law, *[(1.05 - low) / (high - low)] * len(self.shapers)])
 
-    def with_total(self, point: RealArray, total: float) -> RealArray:
-        """The point with another total time [s], within the range."""
-        fraction = (log(total / self.usual) - log(SHORTEST)) / (log(LONGEST) - log(SHORTEST))
-        return np.array([min(max(fraction, 0.0), 1.0), *point[1:]])
+    @property
+    def are_free(self) -> NDArray[np.bool_]:
+        """Which numbers any value does for (n,): not those of the time law, see `FamilyMotion.conditions`."""
+        first, last = len(PATHS[0]), len(PATHS[0]) + len(USUAL_SHAPE)
+        index = np.arange(last + len(self.shapers))
+        return (index < first) | (index >= last)
 
-    def design(self, family: MotionFamily, point: RealArray) -> Design:
-        """The motion of a point of the unit cube.
+    def path(self, numbers: RealArray) -> RealArray:
+        """Points of the path of these numbers (N, 2) [m].
 
         Raises:
-            TrajectoryError: the shapers take longer than the motion may, or there are none for a mode's damping.
+            TrajectoryError: it isn't feasible.
         """
-        numbers = iter(np.asarray(point).tolist())
-        time, lift, tall, wide = (next(numbers) for _ in range(4))
-        total = self.usual * _between((SHORTEST, LONGEST), time) if self.total is None else self.total
-        # corners
-        height = self.lift[0] + (self.lift[1] - self.lift[0]) * lift
+        section = self.scene.trajectory
+        assert isinstance(section, TrajectorySection)
+        design = replace(self, shapers=()).design(numbers[: -len(self.shapers) or None], 1.0)
+        corner = BLENDS[self.blend].make(*design.corner)
+        path = PickAndPlacePath(section.start, section.lift, design.height, section.width, corner)
+        x, y = path.jets(np.linspace(0.0, path.length, NODES), 0)
+        return np.stack([x.value, y.value], axis=-1)
+
+    def design(self, numbers: RealArray, total: float) -> Design:
+        """The motion of these numbers with a duration [s].
+
+        Raises:
+            TrajectoryError: the shapers take longer than the motion, or there are none for a mode's damping.
+        """
+        section = self.scene.trajectory
+        assert isinstance(section, TrajectorySection)
+        lift, tall, wide, *others = np.asarray(numbers).tolist()
+        shape, frequencies = others[: len(USUAL_SHAPE)], others[len(USUAL_SHAPE) :]
+        height = _along(self.heights, lift)
         tall = height * (0.3 + 0.7 * tall)
-        low, high = NARROWEST * tall, 0.5 * self.width
-        if family.blend == "clothoid":
-            low, high = 1.01 * LOWEST_RATIO * tall, min(high, 0.99 * HIGHEST_RATIO * tall)
-        width = _between((min(low, high), high), wide)
-        # parameters of the time law
-        values: Values = ()
-        own = [next(numbers) for _ in range(LAWS[family.law])]
-        if family.law == "polynomial":
-            values = polynomial([_along((-SHAPE, SHAPE), each) for each in own])
-        elif family.law == "double-s":
-            ramp = 0.2 + 0.3 * own[0]
-            values = (("ramp", ramp), ("jerk_phase", ramp * (0.05 + 0.45 * own[1])))
-        # shapers
-        shapers = list[ShaperChoice]()
-        for kind, mode, place in family.shapers:
-            first, last = self.modes[0], self.modes[mode]
-            if kind == "si":
-                ends = [each.frequency * _along(BAND_ENDS, next(numbers)) for each in (first, last)]
-                level = _between(LEVELS, next(numbers))
-                shapers.append(ShaperChoice(kind, (min(ends), max(ends)), first.ratio, place, level))
-            else:
-                frequency = last.frequency * _along(FREQUENCIES, next(numbers))
-                shapers.append(ShaperChoice(kind, (frequency,), last.ratio, place))
+        high = 0.5 * section.width
+        low = min(NARROWEST * tall, high)
+        width = exp(_along((log(low), log(high)), wide))
+        law = polynomial([_along((-SHAPE, SHAPE), each) for each in shape])
+        pairs = zip(self.shapers, frequencies, strict=True)
+        shapers = tuple(
+            ShaperChoice(kind, mode.frequency * _along(FREQUENCIES, number), mode.ratio)
+            for (kind, mode), number in pairs
+        )
         duration = total - sum(each.sequence.duration for each in shapers)
         if duration < LEAST_TIME * total:
             raise TrajectoryError("shapers take longer than the motion")
-        return Design(family.blend, (tall, width), height, family.law, values, tuple(shapers), duration)
-
-    def forward(self, family: MotionFamily, point: RealArray) -> tuple[RealArray, RealArray]:
-        """By how much a polynomial's shape is above the smallest allowed (M,), and the slopes by the numbers (M, n)."""
-        count = LAWS[family.law] if family.law == "polynomial" else 0
-        waves = np.polynomial.legendre.legvander(PLACES, count)[:, 1:]
-        slopes = np.zeros((len(PLACES), len(point)))
-        slopes[:, 4 : 4 + count] = 2.0 * SHAPE * waves
-        return 1.0 + slopes @ (np.asarray(point) - 0.5) - SLOWEST, slopes
+        return Design(self.blend, (tall, width), height, law, shapers, duration)
 
 
 def _along(ends: tuple[float, float], fraction: float) -> float:
@@ -377,11 +304,111 @@ def _along(ends: tuple[float, float], fraction: float) -> float:
     return ends[0] + (ends[1] - ends[0]) * fraction
 
 
-def _between(ends: tuple[float, float], fraction: float) -> float:
-    """A number from one end to the other in equal ratios."""
-    return exp(log(ends[0]) + (log(ends[1]) - log(ends[0])) * fraction)
+@dataclass(frozen=True, eq=False)
+class FamilyMotion:
+    """A motion of a family; its variables as a `flexfmu.model.reference_design.joint_spline.DesignedMotion` are its numbers and T.
 
+    Attributes:
+        family: the family.
+        numbers: its numbers (n,).
+        duration: T with shapers [s].
+        usual: a usual duration [s], by which steps are chosen.
+    """
 
-def motion_families(shapers: Iterable[tuple[Use, ...]], laws: Iterable[str] = tuple(LAWS)) -> list[MotionFamily]:
-    """Each of these time laws on every kind of corner with each of these combinations of shapers."""
-    return [MotionFamily(blend, law, uses) for uses, blend, law in product(shapers, CORNERS, laws)]
+    family: MotionFamily
+    numbers: RealArray
+    duration: float
+    usual: float
+    _known: dict[tuple[bytes, str], RealArray] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def design(self) -> Design:
+        """The motion itself.
+
+        Raises:
+            TrajectoryError: see `MotionFamily.design`.
+        """
+        return self.family.design(self.numbers, self.duration)
+
+    @property
+    def intervals(self) -> int:
+        """Number of equal parts of the duration."""
+        return max(INTERVALS, round(self.usual / LONGEST))
+
+    @property
+    def room(self) -> tuple[RealArray, RealArray]:
+        """Largest changes of the variables: numbers stay in the unit cube."""
+        return np.append(-self.numbers, -np.inf), np.append(1.0 - self.numbers, np.inf)
+
+    def with_duration(self, duration: float) -> FamilyMotion:
+        """Return the motion with another duration."""
+        return replace(self, duration=duration)
+
+    def moved(self, change: RealArray) -> FamilyMotion:
+        """Return the motion after a change of its variables (n + 1,)."""
+        numbers = np.clip(self.numbers + change[:-1], 0.0, 1.0)
+        return replace(self, numbers=numbers, duration=self.duration + float(change[-1]))
+
+    def evaluate(self, fraction: ArrayLike, order: int = 2) -> RealArray:
+        """Return joint angles with up to two derivatives (order + 1, N, 2) at fractions of the duration.
+
+        Raises:
+            TrajectoryError: the path or a shaper is not feasible.
+        """
+        points = np.atleast_1d(np.asarray(fraction, dtype=float))
+        key = points.tobytes(), "values"
+        if key not in self._known:
+            self._known[key] = references(self.family.scene, self.design, points * self.duration)
+        return self._known[key][: order + 1]
+
+    def derivatives(self, fractions: RealArray) -> RealArray:
+        """Return derivatives (N, 6, n + 1) of [q_a, v_a, a_a] by the variables; zero by those that can't change."""
+        key = fractions.tobytes(), "derivatives"
+        if key not in self._known:
+            here, found = self.evaluate(fractions), np.zeros((len(fractions), 6, len(self.numbers) + 1))
+            # towards the middle of the cube
+            steps = np.append(np.where(self.numbers > 0.5, -DIFFERENCE, DIFFERENCE), DIFFERENCE * self.duration)
+            for k, step in enumerate(steps.tolist()):
+                change = np.zeros(len(steps))
+                change[k] = step
+                try:
+                    found[..., k] = np.hstack(list((self.moved(change).evaluate(fractions) - here) / step))
+                except TrajectoryError:
+                    continue
+            self._known[key] = found
+        return self._known[key]
+
+    def rates(self, fractions: RealArray) -> list[RealArray]:
+        """Return speeds, accelerations and mean jerks between the fractions (n, 2)."""
+        _, speed, acceleration = self.evaluate(fractions)
+        return [speed, acceleration, np.diff(acceleration, axis=0) / (self.duration * np.diff(fractions)[:, None])]
+
+    def rates_by(self, fractions: RealArray) -> list[RealArray]:
+        """Return their derivatives (n, 2, n + 1)."""
+        _, speed, acceleration = self.derivatives(fractions).reshape(len(fractions), 3, 2, -1).swapaxes(0, 1)
+        jerk = np.diff(acceleration, axis=0) / (self.duration * np.diff(fractions)[:, None, None])
+        jerk[..., -1] -= self.rates(fractions)[2] / self.duration
+        return [speed, acceleration, jerk]
+
+    def conditions(self) -> tuple[RealArray, RealArray]:
+        """Return by how much the time law's shape is below the smallest allowed, and the slopes by the variables."""
+        waves = np.polynomial.legendre.legvander(PLACES, len(USUAL_SHAPE))[:, 1:]
+        slopes = np.zeros((len(PLACES), len(self.numbers) + 1))
+        slopes[:, 3 : 3 + len(USUAL_SHAPE)] = -2.0 * SHAPE * waves
+        return SLOWEST - 1.0 + slopes[:, :-1] @ (self.numbers - 0.5), slopes
+
+    def scale(self, unit: float) -> RealArray:
+        """Return the size of changes that count alike: the cube's, and a usual duration [s]."""
+        return np.append(np.ones(len(self.numbers)), unit)
+
+    def metric(self, unit: float) -> RealArray:
+        """Return the squared size (n + 1, n + 1) of changes of the acceleration, relative to the largest one, and of the duration."""
+        fractions = np.linspace(0.0, 1.0, INTERVALS + 1)
+        by = (
+            self.derivatives(fractions)[:, 4:].reshape(-1, len(self.numbers) + 1)
+            / np.abs(self.evaluate(fractions)[2]).max()
+        )
+        by[:, -1] = 0.0
+        found = by.T @ by
+        found[-1, -1] = 0.1 * INTERVALS / unit**2
+        return np.asarray(found)

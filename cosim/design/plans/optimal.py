@@ -8,11 +8,11 @@ On the given path the end effector of the flexible robot makes the given motion.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain, product
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.model.reference_design import optimal_control
 from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
-from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
+from flexfmu.model.reference_design.joint_spline import DesignedMotion, JointSpline, fitted
 from flexfmu.model.reference_design.robust_correction import Tolerances, corrected
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.motion import TableSection
@@ -78,6 +78,8 @@ CORRECTED_FOR, USED = 16, 0.99
 """Payloads of the correction on the given path, of which fewer are overfitted, and share of each limit that is used: the correction
 meets limits to half a percent, and the given torques vary between payloads."""
 
+Motion = TypeVar("Motion", bound=DesignedMotion)
+
 Robots = list[list[RobotVariant]]
 """Robots of a way, by scene."""
 
@@ -100,34 +102,62 @@ def optimal(
     if np.hypot(*(goals.trace[-1] - goals.trace[0])) < RETURN:
         raise InputError("optimal control plans a motion from one place to another, and this one ends where it starts")
     motions, nodes = _ways(goals)
-    tight_ways, loads = _limited(goals, found[0], motions)
+    tight_ways, loads = limited(goals, found[0], motions)
     attempt, judge = partial(_attempt, goals, nodes, show, journal), Judge(goals, PAYLOADS[0], journal)
+
+    def made(splines: Sequence[JointSpline]) -> Candidate:
+        time = sum(each.duration for each in splines) + sum(each.pause or 0.0 for each in goals.ways)
+        aim = "robust" if goals.wishes.minimise == "time" else goals.wishes.minimise
+        return _candidate(goals, f"optimal control, {aim}, {time:.4g} s", splines)
+
     for share in _shares(goals, found[0]):
         ways = _from_share(tight_ways, share)
-        loose, tried, is_first = optimal_control.LOOSE, False, True
-        for number in range(TRIES):
-            splines = attempt(("optimal", share, number), ways, loads, loose)
-            if splines is None:
-                break
-            time = sum(each.duration for each in splines) + sum(each.pause or 0.0 for each in goals.ways)
-            aim = "robust" if goals.wishes.minimise == "time" else goals.wishes.minimise
-            tried, candidate = True, _candidate(goals, f"optimal control, {aim}, {time:.4g} s", splines)
-            yield candidate
-            judged = judge.assess(candidate)
-            excess = excesses(judged)
-            if judged.feasible:
-                # what it leaves of the limits is given back once
-                excess, is_first = reserves(judged) if is_first and goals.wishes.duration is None else {}, False
-            if not excess:
-                break
-            # what the FMU finds beyond the limits is taken off them, from this motion on
-            slower = SLOWER if max(excess.values()) > SLOWER and goals.wishes.duration is None else 1.0
-            ways, loads = _from_motions(ways, loads, excess, splines, slower)
-            loose = 0.0
+        tried = yield from refined(judge, attempt, made, ways, loads, optimal_control.LOOSE, ("optimal", share))
         if tried:
             break
     if goals.wishes.front:
         yield from _front(goals, found[0], motions, attempt, judge)
+
+
+def refined(
+    judge: Judge,
+    attempt: Callable[..., Sequence[Motion] | None],
+    made: Callable[[Sequence[Motion]], Candidate],
+    ways: Sequence[optimal_control.Way],
+    loads: Mapping[str, RealArray],
+    loose: float,
+    key: tuple[Any, ...],
+) -> Generator[Candidate, None, bool]:
+    """Motions from one start on, each with limits corrected by what the FMU finds; whether there are any.
+
+    Args:
+        judge: finds it.
+        attempt: a key of the journal, ways, loads and the first bound of the residual vibration → the best motions; None for none.
+        made: the candidate of these motions.
+        ways: the ways from their first motions on.
+        loads: limits of loads of the cycle.
+        loose: first bound of the residual vibration [m].
+        key: begins the keys of the journal.
+    """
+    is_first, is_free = True, judge.goals.wishes.duration is None
+    for number in range(TRIES):
+        motions = attempt((*key, number), ways, loads, loose)
+        if motions is None:
+            return number > 0
+        candidate = made(motions)
+        yield candidate
+        judged = judge.assess(candidate)
+        excess = excesses(judged)
+        if judged.feasible:
+            # what it leaves of the limits is given back once
+            excess, is_first = reserves(judged) if is_first and is_free else {}, False
+        if not excess:
+            break
+        # what the FMU finds beyond the limits is taken off them, from this motion on
+        slower = SLOWER if max(excess.values()) > SLOWER and is_free else 1.0
+        ways, loads = _from_motions(ways, loads, excess, motions, slower)
+        loose = 0.0
+    return True
 
 
 FRONT_TO: Mapping[str, float] = {"power": 0.35, "rms_torque": 0.6, "energy": 0.5, "jerk": 0.25, "residual": 0.01}
@@ -150,7 +180,7 @@ def _front(
     """What is minimised for many levels of the front's other figures, each from the motion of the level before."""
     axes: list[str] = [each for each in goals.wishes.front if each != goals.wishes.minimise]
     own = {name: Limit(name, 1.0, "1", is_relative=True) for name in axes if name != "residual"}
-    unit_ways, unit_loads = _limited(replace(goals, limits={**goals.limits, **own}), given, motions)
+    unit_ways, unit_loads = limited(replace(goals, limits={**goals.limits, **own}), given, motions)
     natural = {name: LOOSER if name == "residual" else LIFTED for name in axes}
     levels = [np.geomspace(1.0, FRONT_TO[name], LEVELS[len(axes) - 1]).tolist() for name in axes]
     # forth and back, so that neighbours follow each other
@@ -176,8 +206,8 @@ def _front(
             if next_splines is None:
                 break
             splines, before = next_splines, factors
-            limited = ", ".join(f"{name} {100.0 * share:.3g} %" for name, share in zip(axes, shares, strict=True))
-            candidate = _candidate(goals, f"front: {limited}", splines)
+            levels_text = ", ".join(f"{name} {100.0 * share:.3g} %" for name, share in zip(axes, shares, strict=True))
+            candidate = _candidate(goals, f"front: {levels_text}", splines)
             yield candidate
             judged = judge.assess(candidate)
             beyond = {name: each for name, each in excesses(judged).items() if name not in axes}
@@ -210,13 +240,13 @@ def _from_motions(
     ways: Sequence[optimal_control.Way],
     loads: Mapping[str, RealArray],
     excess: Mapping[str, float],
-    splines: Sequence[JointSpline],
+    motions: Sequence[DesignedMotion],
     slower: float,
 ) -> tuple[list[optimal_control.Way], dict[str, RealArray]]:
     """The ways with tighter limits, from known motions on."""
     tight = [
         replace(way, limits=tightened(way.limits, excess), start=each.with_duration(slower * each.duration))
-        for way, each in zip(ways, splines, strict=True)
+        for way, each in zip(ways, motions, strict=True)
     ]
     return tight, {name: each / excess.get(name, 1.0) for name, each in loads.items()}
 
@@ -308,12 +338,14 @@ def reserves(judged: Assessment) -> Mapping[str, float]:
 
 def tightened(limits: optimal_control.MotionLimits, excess: Mapping[str, float]) -> optimal_control.MotionLimits:
     """The limits, tighter by `excesses`."""
-
-    def distances(points: RealArray) -> tuple[RealArray, RealArray]:
-        distance, gradient = limits.distances(points)
-        return distance - excess.get("clearance", 0.0), gradient
-
+    distances = partial(_nearer, limits.distances, -excess.get("clearance", 0.0))
     return replace(limits.tightened(excess), distances=distances)
+
+
+def _nearer(distances: optimal_control.Distances, allowed: float, points: RealArray) -> tuple[RealArray, RealArray]:
+    """Distances of which some is allowed."""
+    distance, gradient = distances(points)
+    return distance + allowed, gradient
 
 
 def fuller_scene(scene: Scene) -> Scene | None:
@@ -334,11 +366,11 @@ def _nodes(variations: Sequence[Variation], count: int) -> list[int]:
     return [*optimal_control.spread(payloads, count), *range(payloads, len(variations))]
 
 
-def _limited(
-    goals: Goals, given: Assessment, motions: Sequence[tuple[Robots, NDArray[np.intp]]]
+def limited(
+    goals: Goals, given: Assessment, motions: Sequence[tuple[Robots, NDArray[np.intp]]], *, walls: bool = False
 ) -> tuple[list[optimal_control.Way], dict[str, RealArray]]:
     """The ways with the goals' limits in numbers, for each robot relative to what the given motion or cycle needs in the same model, and
-    the limits of the cycle's loads for each case."""
+    the limits of the cycle's loads for each case; with walls, what a way passes through counts by the way around it."""
     share, clear, quiet = RESERVE
     speed, acceleration, jerk = (
         goals.limit(name, np.array(value)).item() for name, value in zip(RATES, given.references, strict=True)
@@ -370,13 +402,12 @@ def _limited(
                 loads[name] = np.full((len(every), *limit.shape[1:]), np.inf)
                 np.minimum.at(loads[name], cases, limit)
 
-        def distances(points: RealArray, of_way: Goals = of_way) -> tuple[RealArray, RealArray]:
-            distance, gradient = of_way.clearance.distances(points)
-            return distance + clear * goals.wishes.margin, gradient
-
+        clearance = of_way.clearance.of_ways if walls else of_way.clearance.distances
+        distances = partial(_nearer, clearance, clear * goals.wishes.margin)
         own = optimal_control.MotionLimits(
-            loads.pop("torque"), speed, acceleration, jerk, quiet * goals.wishes.residual, distances, loads, pause
-        )
+            loads.pop("torque"), speed, acceleration, jerk, quiet * goals.wishes.residual, distances, loads, pause,
+            goals.wishes.settled_within,
+        )  # fmt: skip
         start = fitted(of_way.given.once.joints, INTERVALS, side="left")
         ways.append(optimal_control.Way(every, own, start, cases))
     return ways, {name: limit for name, limit in limits.items() if name in optimal_control.OF_CYCLE}

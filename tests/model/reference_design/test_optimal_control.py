@@ -37,12 +37,12 @@ WIDE = 1e6
 
 def above(points: RealArray) -> tuple[RealArray, RealArray]:
     """Distances from a table at y = 0.27 m."""
-    return points[np.newaxis, :, 1] - 0.27, np.broadcast_to([0.0, 1.0], (1, *points.shape))
+    return points[np.newaxis, ..., 1] - 0.27, np.broadcast_to([0.0, 1.0], (1, *points.shape))
 
 
 def free(points: RealArray) -> tuple[RealArray, RealArray]:
     """Distances from nothing."""
-    return np.ones((1, len(points))), np.zeros((1, *points.shape))
+    return np.ones((1, *points.shape[:-1])), np.zeros((1, *points.shape))
 
 
 @pytest.fixture(scope="module")
