@@ -16,7 +16,7 @@ from flexfmu.benchmarks.hard_cases.case import CaseReport, HardCase
 from flexfmu.benchmarks.hard_cases.extremes import motion_cases, parameter_cases, stated_cases, stiffness_cases
 from flexfmu.benchmarks.hard_cases.steps import gain_cases, step_cases
 from flexfmu.cosim.engine.errors import CosimError, InputError
-from flexfmu.cosim.reports.page import Table, render_page
+from flexfmu.cosim.reports.page import Page, Table
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import markdown_table, titled_table
 from flexfmu.model.scene.errors import EquilibriumError
@@ -151,9 +151,9 @@ def html(results: Sequence[HardCaseResult]) -> str:
     """The page: conclusion, introduction and table, the verdicts beside the names."""
     (case, *texts, verdict), rows = COLUMNS, [row(result) for result in results]
     cells = [(name, passed, *others) for name, *others, passed in rows]
-    table = Table(conclusion(results), (case, verdict, *texts), cells, texts=len(texts))
+    table = Table("Cases", (case, verdict, *texts), cells, texts=len(texts))
     lead = " ".join(INTRODUCTION.partition("\n")[2].replace("`", "").split())
-    return render_page("Hard cases", lead, tables=[table])
+    return Page("Hard cases", conclusion(results), tables=[table], lead=lead).html
 
 
 def data(results: Sequence[HardCaseResult]) -> dict[str, Any]:

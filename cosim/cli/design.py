@@ -19,7 +19,6 @@ from flexfmu.model.scene.keys import parse_setting
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-    from rich.table import Table
 
     from flexfmu.cosim.design.gains.tuner import TuneResult
     from flexfmu.cosim.design.plans.planner import PlanResult
@@ -496,8 +495,9 @@ def _shown_tuning(result: TuneResult, files: Sequence[str]) -> Iterator[Renderab
     """The values, the figures, what to try, and the files."""
     from rich.text import Text
 
-    yield _values(result)
-    yield _figures(result)
+    from flexfmu.cosim.reports.terminal import as_terminal_table
+
+    yield from map(as_terminal_table, result.tables())
     if not result.is_feasible:
         yield Text("No trial keeps all limits; these values miss them least.", style="yellow")
     # within 1 % of an end of the interval
@@ -506,47 +506,6 @@ def _shown_tuning(result: TuneResult, files: Sequence[str]) -> Iterator[Renderab
             yield Text(f"{each.key} is at the end of its interval: a wider one may be better.", style="yellow")
     failed = sum(1 for each in result.trials if each.message)
     yield f"{len(result.trials)} trials, {failed} of which failed; results: {', '.join(files)}"
-
-
-def _values(result: TuneResult) -> Table:
-    """The keys, given and tuned."""
-    from flexfmu.cosim.engine.showing import shown_unit
-    from flexfmu.cosim.reports.terminal import titled_table
-    from flexfmu.model.scene.keys import location, value_at
-    from flexfmu.model.scene.messages import unit_of
-    from flexfmu.model.scene.schema import Scene
-
-    heads = ("given", "tuned", "from", "to")
-    table = titled_table(f"{result.study.scene.name}, tuned", "key", numbers=heads)
-    data = result.study.scene.model_dump()
-    for each, own in zip(result.study.over, result.study.given(), strict=True):
-        unit = shown_unit(unit_of(location(data, each.key), Scene))
-        # both joints may have values of their own
-        both = value_at(data, each.key, result.study.scene.name)
-        given = ", ".join(f"{one:.5g}" for one in both) if own is None and isinstance(both, tuple) else own
-        cells = (
-            "–" if value is None else value if isinstance(value, str) else f"{value:.5g}"
-            for value in (given, result.values.get(each.key, given), each.low, each.high)
-        )
-        table.add_row(f"{each.key} [{unit}]" if unit else each.key, *cells)
-    return table
-
-
-def _figures(result: TuneResult) -> Table:
-    """The figure that is minimised and those with limits, given and tuned."""
-    from flexfmu.cosim.reports.terminal import titled_table
-
-    study, pair = result.study, (result.given.figures, result.best.figures)
-    band = ", worst over the robots" if study.robots else "" if study.band is None else ", worst over the payloads"
-    table = titled_table(f"Figures{band}", "figure", "name", numbers=("given", "tuned", "limit"), stacks=True)
-    goal = study.minimise
-    table.add_row(goal.label, goal.name, *(goal.shown(goal.of(each)) for each in pair), "smallest")
-    for each in study.conditions:
-        limit = f"{'<' if each.limit.is_upper else '>'} {each.goal.shown(each.limit.limit)}"
-        table.add_row(
-            each.goal.label, each.goal.name, *(each.goal.shown(each.closest(figures)) for figures in pair), limit
-        )
-    return table
 
 
 def shaper(

@@ -217,15 +217,15 @@ def _run_scene(
             show("drawing the report", None)
             rest = settings.end_equilibrium if settings is not None and settings.dwell else None
             if live:
-                from flexfmu.cosim.exchange.live import report_page
+                from flexfmu.cosim.exchange.live import live_report
 
-                page = report_page(run, summary, rest)
+                page = live_report(run, summary, rest)
             else:
                 from flexfmu.cosim.reports.plots import draw_plots
-                from flexfmu.cosim.reports.report import render_report
+                from flexfmu.cosim.reports.report import report_page
 
-                page = render_report(summary, draw_plots(run, rest))
-            folder.write("report.html", page)
+                page = report_page(summary, draw_plots(run, rest))
+            folder.write("report.html", page.html)
             files.append("report.html")
         else:
             folder.remove("report.html")

@@ -45,6 +45,7 @@ def compare(
     variant: list[str] | None = None,
     payload_band: str | None = None,
     strict: bool = False,
+    live: bool = False,
     settings: list[str] | None = None,
     out: Path | None = None,
     sandbox: bool = False,
@@ -69,6 +70,8 @@ def compare(
         payload_band (BAND): Also run scenes with other payloads, unknown to the controllers: 0.2 for 20 % to both sides,
             4,8 for 4 and 8 kg, or an identified.json for its interval. Default: skip.
         strict: Refuse files with values that are no finite numbers (nan, inf). Default: leave them out and tell the line.
+        live: Let comparison.html simulate all scenes side by side, with common sliders. It needs ziglang, and --out. Default: the page
+            shows the runs alone.
         out (DIR): Write comparison.html and comparison.json there. Default: nowhere.
     """
     from flexfmu.cosim.design.gains.robustness import parse_band
@@ -82,6 +85,12 @@ def compare(
         if (status := run_in_sandbox(out)) is not None:
             return status
     # what can be wrong is checked before anything is simulated
+    if live and out is None:
+        raise InputError("--live is about comparison.html: add --out DIR")
+    if live:
+        from flexfmu.fmu_build.toolchain import WASM, find_compiler
+
+        find_compiler(WASM)
     meaning = dict(map(parse_mapping, mapping or ()))
     if measured is not None and (measured.is_dir() or not measured.exists()):
         raise InputError(f"there is no file {measured}")
@@ -98,7 +107,7 @@ def compare(
             "signals; give a second run, a scene, or a measurement with --measured"
         )
     if out is not None:
-        found.write(out)
+        found.write(out, live=live)
     print_result(json, found.as_data(), *_shown_comparison(found, out))
     failed = [run for run in found.runs if run.failure]
     for run in failed:
@@ -286,6 +295,7 @@ def sweep(
     restart: bool = False,
     dask: str | None = None,
     plot: bool | None = None,
+    live: bool = False,
     stop_time: float | None = None,
     step: float | None = None,
     sandbox: bool = False,
@@ -315,7 +325,9 @@ def sweep(
         out (DIR): Folder of the results. Default: results/<name of the scene>-sweep.
         restart: Discard the results of another sweep in the folder. Default: refuse.
         dask (ADDRESS): Simulate on the workers of this Dask scheduler, tcp://host:8786. Default: this machine.
-        plot: Draw sweep.png and sweep.svg. Default: draw them, but with --json don't.
+        plot: Draw sweep.png, sweep.svg and sweep.html. Default: draw them, but with --json don't.
+        live: Let sweep.html simulate the scene: pick a point, or move the sliders of the swept keys. It needs ziglang. Default: the page
+            shows the cases alone.
         stop_time (SECONDS): End of a model's runs. Default: a scene has its own.
         step (SECONDS): Communication step of a model's runs. Default: a scene has its own.
     """
@@ -341,6 +353,14 @@ def sweep(
         raise InputError(f"{alien[0]} is for scenes; of a model all outputs are measured, or those of --record")
     if (stop_time is None or step is None) if model else (stop_time is not None or step is not None):
         raise InputError("--stop-time and --step in s are for models from equations, which need both")
+    if live and model:
+        raise InputError(
+            "--live simulates a scene in the page; a model has its page by flexfmu build --platform wasm32"
+        )
+    if live:
+        from flexfmu.fmu_build.toolchain import WASM, find_compiler
+
+        find_compiler(WASM)
     robot = None if model else load_resolved(scene, settings, keeps_accuracy=True)
     wanted = _swept_cases(robot, vary or [], sample, seed, cases)
     if record_step is not None and not record:
@@ -374,7 +394,7 @@ def sweep(
                     show=report,
                 )
             show("writing the results", None)
-            files = write_files(result, folder, plot=not json if plot is None else plot)
+            files = write_files(result, folder, plot=live or (not json if plot is None else plot), live=live)
     except KeyboardInterrupt:
         where = f"{done[0]} of {done[1]} cases are in {folder}" if any(done) else "before the first case"
         show_note(f"interrupted: {where}; the same command continues")
@@ -415,27 +435,9 @@ def _swept_cases(robot: Scene | None, vary: list[str], sample: str | None, seed:
 
 def _shown_sweep(result: SweepResult, files: list[Path]) -> Iterator[RenderableType]:
     """The extremes of each metric, failed cases and files."""
-    from rich.table import Column
+    from flexfmu.cosim.reports.terminal import as_terminal_table
 
-    from flexfmu.cosim.engine.showing import shown_unit
-    from flexfmu.cosim.metrics.metric_table import ALL_METRICS
-    from flexfmu.cosim.reports.terminal import titled_table
-
-    heads = ("smallest", "at", "median", "largest", "at")
-    table = titled_table(
-        f"{result.name}: {len(result)} cases over {', '.join(result.cases.keys)}",
-        "metric",
-        "name",
-        "unit",
-        *(each if each == "at" else Column(each, justify="right") for each in heads),
-        stacks=True,
-    )
-    for name, each in result.summary().items():
-        low, median, high = (f"{each[part]:.4g}" for part in ("min", "median", "max"))
-        at_low, at_high = (result.case_text(each[part]) for part in ("min_case", "max_case"))
-        label = ALL_METRICS[name].label if name in ALL_METRICS else ""
-        table.add_row(label, name, shown_unit(each["unit"]), low, at_low, median, high, at_high)
-    yield table
+    yield as_terminal_table(result.table(), ("At", "at"))
     if failed := result.failed:
         yield f"{len(failed)} failed, the first with {result.case_text(failed[0]['case'])}: {failed[0]['message']}"
     yield f"results: {', '.join(map(str, files))}"

@@ -13,8 +13,9 @@ import json
 import re
 import struct
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import copysign
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.hermite import hermite_derivatives, hermite_scales
 from flexfmu.cosim.engine.master.program_image import FUNCTIONS, ProgramImage, program_image
 from flexfmu.cosim.engine.results import Selection
@@ -31,12 +32,14 @@ from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.parameters import scene_values
+from flexfmu.cosim.experiment.run_options import SceneOptions
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.many.prepared_scene import PreparedScene
+from flexfmu.cosim.many.prepared_scene import PreparedScene, run_scene
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.segments import control_matrices, quadrature_of
+from flexfmu.cosim.reports.page import Figure, Live, Page, with_few_points
 from flexfmu.cosim.reports.plots import FEW_FRAMES, FRAMES, LONGEST, draw_plots
-from flexfmu.cosim.reports.report import render_report
+from flexfmu.cosim.reports.report import report_page
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.fmu_build.block_build import sample_function
 from flexfmu.fmu_build.choices import INITIAL
@@ -49,8 +52,11 @@ from flexfmu.fmu_build.trajectory_table import TrajectoryTable, tabulate
 from flexfmu.fmu_build.wasm_module import model_facts
 from flexfmu.model.beams import Shape, scene_shapes
 from flexfmu.model.scene.assembly import bases
+from flexfmu.model.scene.errors import EquilibriumError, SceneError
+from flexfmu.model.scene.keys import full_key
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.curves import Side
+from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.trajectory import Trajectory
 
 ENDS = 5
@@ -99,79 +105,171 @@ EXPORTED = (
 """Functions that the page calls."""
 
 
+GUID = "{live}"
+"""Of the FMU in the module."""
+
+SWEPT_PLOTS = ("scene", "torques", "tracking", "deflections", "position", "dwell")
+"""Plots of a swept scene, that of the robot first."""
+
+
 @dataclass(frozen=True)
 class LiveRun:
     """What a page needs to simulate a run.
 
     Attributes:
-        module: the WebAssembly module; empty if the run can't be simulated in a page.
-        facts: data for ``simulation.js``, as JSON has them; arrays are base64.
+        facts: module and data for ``simulation.js``, as JSON has them; arrays are bytes. Empty if the run can't be simulated.
         reason: why the run stays as recorded; empty if it doesn't.
     """
 
-    module: bytes = b""
     facts: Mapping[str, Any] = field(default_factory=dict)
     reason: str = ""
 
-    def packed(self) -> str:
-        """Everything as gzip in base64."""
-        data = {**self.facts, "module": base64.b64encode(self.module).decode()}
-        return base64.b64encode(gzip.compress(json.dumps(data).encode(), 9, mtime=0)).decode()
-
 
 def live_page(run: Run) -> str:
-    """The report of a run that simulates, as HTML.
+    """The report of a run that simulates, as HTML; with or without an input shaper, where both can be had.
 
     Raises:
         BuildError: there is no ziglang, or it fails.
         ResultsError, EquilibriumError: as for `flexfmu.measure_run`.
     """
     summary = summarise(run, measure_run(run))
-    return report_page(run, summary, settings_for(run).end_equilibrium if run.completed and run.rests else None)
+    return live_report(run, summary, _rest(run)).html
 
 
-def report_page(run: Run, summary: Mapping[str, Any], rest: RealArray | None) -> str:
+def live_report(run: Run, summary: Mapping[str, Any], rest: RealArray | None) -> Page:
     """The same with a summary, and where the robot rests (2,) [m], None for no dwell."""
-    found = live_run(run)
-    packed = found.packed() if found.module else ""
-    return render_report(summary, draw_plots(run, rest, FEW_FRAMES if packed else FRAMES), packed, found.reason)
+    live = simulating([("", live_run(run)), *_alternatives(run)])
+    return report_page(summary, draw_plots(run, rest, FEW_FRAMES if live.packed else FRAMES), live)
 
 
-def live_run(run: Run) -> LiveRun:
+def _alternatives(run: Run) -> Iterator[tuple[str, LiveRun]]:
+    """The run without its input shapers, or with the usual one, where that can be run."""
+    name, shapers = ("without shaper", []) if run.scene.shaper else ("ZV shaper", [{"kind": "zv"}])
+    if run.plan.source or run.plan.design is not None or run.plan.repetition is not None or not run.completed:
+        return
+    try:
+        scene = run.scene.replace({"shaper": shapers})
+        other = PreparedScene(scene, **_options(run)).run(run.parameters)
+    except (CosimError, SceneError, EquilibriumError, TrajectoryError):  # a rigid robot, a path out of reach
+        return
+    found = live_run(other, is_exact=False)
+    if found.facts:
+        yield name, found
+
+
+def simulating(
+    runs: Sequence[tuple[str, LiveRun]], places: Sequence[int] = (), swept: Mapping[str, Sequence[float]] | None = None
+) -> Live:
+    """What a page simulates.
+
+    Args:
+        runs: option of the page's user and run: those of the same place are alternatives to each other.
+        places: of the runs among those that the page shows; empty for one run and its alternatives.
+        swept: key → smallest and largest value of its slider; None for the usual sliders.
+    """
+    known, content = dict[bytes, int](), bytearray()
+
+    def pooled(data: Any) -> Any:
+        if isinstance(data, bytes):
+            if data not in known:
+                known[data] = len(content)
+                content.extend(data)
+            return {"at": known[data], "size": len(data)}
+        if isinstance(data, Mapping):
+            return {key: pooled(each) for key, each in data.items()}
+        return [*map(pooled, data)] if isinstance(data, list | tuple) else data
+
+    there = [
+        pooled({**run.facts, "place": place, "option": option})
+        for (option, run), place in zip(runs, places or [0] * len(runs), strict=True)
+        if run.facts
+    ]
+    reasons = [f"{option or 'the run'}: {run.reason}" for option, run in runs if run.reason]
+    if not there:
+        return Live(reasons=reasons)
+    head = json.dumps({"runs": there, "swept": swept or {}}).encode()
+    return Live(base64.b64encode(gzip.compress(head + b"\n" + bytes(content), 9, mtime=0)).decode(), reasons)
+
+
+def side_by_side(page: Page, runs: Sequence[tuple[str, Run | None]]) -> Page:
+    """The page of several runs, which it simulates, by their names; None for results without a run."""
+    unknown = LiveRun(reason="only its results are known")
+    found = [(name, unknown if run is None else live_run(run, is_exact=False)) for name, run in runs]
+    return with_few_points(replace(page, live=simulating(found, range(len(found)))))
+
+
+def swept_page(page: Page, scene: Scene, swept: Mapping[str, tuple[float, float]], names: Sequence[str]) -> Page:
+    """The page of a sweep with its scene, which runs at a point that is picked, or where the sliders of the swept keys are.
+
+    Args:
+        page: of the sweep.
+        scene: what was swept.
+        swept: key of the scene, as it was written → smallest and largest value.
+        names: metrics of the page's tiles, which have extremes and get the value here.
+    """
+    run = run_scene(scene)
+    found = live_run(run, is_exact=False)
+    data = scene.model_dump(mode="json", exclude_none=True)
+    keys = {full_key(data, each["key"]): each["key"] for each in found.facts.get("sliders", ()) if each["key"]}
+    known = {keys[full]: swept[key] for key in swept if (full := full_key(data, key)) in keys}
+    fixed = [key for key in swept if full_key(data, key) not in keys]
+    live = simulating([("", found)], swept=known)
+    if found.facts and fixed:
+        live = replace(live, reasons=[f"other values of {', '.join(fixed)}, which stay as in the scene"])
+    if not found.facts:
+        return replace(page, live=live)
+    first, *others = (each for each in draw_plots(run, _rest(run), FEW_FRAMES) if each.key in SWEPT_PLOTS)
+    metrics, tiles = measure_run(run), list[tuple[str, Sequence[str]]]()
+    for name, (label, ends) in zip(names, page.tiles, strict=False):
+        value = Figure.of(name, metrics[name].value, digits=4, error=metrics[name].error)
+        tiles.append((f"{label.partition(', from')[0]}; in the sweep {' to '.join(ends)}", [value]))
+    return with_few_points(replace(page, live=live, first=[first], plots=[*page.plots, *others], tiles=tiles))
+
+
+def _rest(run: Run) -> RealArray | None:
+    return settings_for(run).end_equilibrium if run.completed and run.rests else None
+
+
+def _options(run: Run) -> SceneOptions:
+    """Those of a run, with the signals of a page."""
+    return {
+        "communication_step": run.communication_step,
+        "tolerance": run.tolerance,
+        "fmu_path": run.fmu_path,
+        "input_order": run.input_order,
+        "record": Selection([name for name in run.recording.columns if name in SIGNALS or name.startswith(BENDING)]),
+    }
+
+
+def live_run(run: Run, *, is_exact: bool = True) -> LiveRun:
     """Compile a run for a page; one that can't be gives the reason.
+
+    Args:
+        run: the run.
+        is_exact: whether the page's run has all bits of this one; otherwise it evaluates the motion between knots, in a third of the data.
 
     Raises:
         BuildError: there is no ziglang, or it fails.
     """
-    section = run.scene.cosimulation
     if not run.completed:
         return LiveRun(reason="the run did not finish")
-    if section.step_control is not None:
+    if run.scene.cosimulation.step_control is not None:
         return LiveRun(reason="its communication steps are controlled")
-    prepared = PreparedScene(
-        run.scene,
-        motion=run.plan,
-        communication_step=run.communication_step,
-        tolerance=run.tolerance,
-        fmu_path=run.fmu_path,
-        input_order=run.input_order,
-        record=Selection([name for name in run.recording.columns if name in SIGNALS or name.startswith(BENDING)]),
-    )
+    prepared = PreparedScene(run.scene, motion=run.plan, **_options(run))
     kinds = (BlockSlave, TrajectorySlave)
     outside = [
         each for each in prepared.parts.slaves if each is not prepared.parts.plant and not isinstance(each, kinds)
     ]
     if outside:
         named = ", ".join(f"{each.name} ({type(each).__name__})" for each in outside)
-        return LiveRun(reason=f"it has no C of {named}")
+        return LiveRun(reason=f"there is no C of {named}")
     again = prepared.run(run.parameters)
     simulator = prepared.simulator
     if not again.completed or not simulator.is_compiled:
         return LiveRun(reason="its loop runs in Python")
     # the last initialisation's memory, then what the program refers to
     try:
-        references = prepared.parts.references
-        table = _table(prepared, references)
+        table = _table(prepared, prepared.parts.references)
         image = program_image(simulator.schedule, simulator.recorder)
     except InputError as error:
         return LiveRun(reason=str(error))
@@ -189,15 +287,19 @@ def live_run(run: Run) -> LiveRun:
     if not texts or root.find("CoSimulation") is None:
         return LiveRun(reason=f"{run.fmu_path.name} has no C sources")
     try:
-        facts = _facts(run, prepared, image, table, root)
+        facts = _facts(run, prepared, image, table if is_exact else None, root)
     except InputError as error:
         return LiveRun(reason=str(error))
-    return LiveRun(_compiled(root.get("guid"), texts, blocks), facts)
+    return LiveRun({**facts, "module": _compiled(texts, blocks)})
 
 
-def _compiled(guid: str, texts: Mapping[str, str], blocks: Sequence[BlockSlave]) -> bytes:
-    """The module: FMU, blocks, master and metrics."""
-    generated = {name: text for name, text in texts.items() if name.startswith("model_")}
+def _compiled(texts: Mapping[str, str], blocks: Sequence[BlockSlave]) -> bytes:
+    """The module: FMU, blocks, master and metrics. Name and GUID are left out, so that FMUs of equal equations have the same one."""
+    generated = {
+        name: re.sub(r'(\.(?:name|guid) = )".*"', rf'\1"{GUID}"', text)
+        for name, text in texts.items()
+        if name.startswith("model_")
+    }
     runtime = {name: text for name, text in texts.items() if name not in generated}
     joined = c_files(runtime)
     beside = library_texts("master") | library_texts("metrics") | library_texts("live")
@@ -206,12 +308,12 @@ def _compiled(guid: str, texts: Mapping[str, str], blocks: Sequence[BlockSlave])
     listed = ", ".join(f"(function){name}" for name in (*FUNCTIONS, *(f"block_{k}" for k in numbers)))
     # the comment with the GUID keeps a file by itself
     own = {
-        "live_functions.c": f'/* {guid} */\n#include "fmi2Functions.h"\n{declared}typedef void (*function)(void);\n'
+        "live_functions.c": f'/* {GUID} */\n#include "fmi2Functions.h"\n{declared}typedef void (*function)(void);\n'
         f"static const function functions[] = {{{listed}}};\n"
         "FMI2_Export const void *live_function(int k) {\n  return (const void *)functions[k];\n}\n"
     }
-    own |= {f"block_{k}.c": f"/* {guid} */\n{_block_code(k, each)}" for k, each in enumerate(blocks)}
-    sources = Sources("live", guid, "", generated | own, runtime | beside, {}, joined=joined)
+    own |= {f"block_{k}.c": f"/* {GUID} */\n{_block_code(k, each)}" for k, each in enumerate(blocks)}
+    sources = Sources("live", GUID, "", generated | own, runtime | beside, {}, joined=joined)
     compiler, exported = find_compiler(WASM), tuple(f"-Wl,--export={name}" for name in EXPORTED)
     flags = tuple(flag for flag in compiler.platform.link_flags if "--export" not in flag)
     platform = replace(compiler.platform, link_flags=(*flags, *exported))
@@ -285,7 +387,7 @@ def _table(prepared: PreparedScene, references: TrajectorySlave) -> _Table:
     return _Table(times, marked, tuple(due), np.ascontiguousarray(announced), ended, np.concatenate(scales))
 
 
-def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, table: _Table, root: Any) -> dict[str, Any]:
+def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, table: _Table | None, root: Any) -> dict[str, Any]:
     """What the page knows beside the module."""
     parts, schedule, recorder = prepared.parts, prepared.simulator.schedule, prepared.simulator.recorder
     model = model_facts(root)
@@ -304,8 +406,9 @@ def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, table: _Table
     }
     return {
         "name": run.scene.name,
-        "model": {"name": model["name"], "guid": model["guid"], "variables": model["variables"]},
-        "image": _bytes(bytes(image.data)),
+        "model": {"guid": GUID, "variables": model["variables"]},
+        "scene": run.scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True),
+        "image": bytes(image.data),
         **{name: getattr(image, name) for name in ("addresses", "functions", "tables", "due", "advance", "exchange")},
         **{name: getattr(image, name) for name in ("script", "handle", "channels")},
         "rows": rows,
@@ -315,11 +418,10 @@ def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, table: _Table
         "rest": rest,
         "step": run.communication_step,
         "tolerance": run.tolerance,
-        "stop": float(table.times[-1]),
+        "stop": plan.stop_time,
         "duration": plan.task.duration,
         "band": run.scene.cosimulation.settling_band,
         "breakpoints": [float(each) for each in parts.references.breakpoints],
-        "scales_in_time": plan.repetition is None and plan.design is None and not plan.source and not run.scene.shaper,
         "sliders": _sliders(run, image, model["variables"], starts),
         "robot": _robot(run.robot),
         "clocks": [
@@ -327,13 +429,7 @@ def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, table: _Table
             for i in schedule.due
             if isinstance(slave := schedule.slaves[i], BlockSlave)
         ],
-        "grid": {
-            "times": _doubles(table.times),
-            "marked": _bytes(table.marked.astype(np.uint8).tobytes()),
-            "due": [_bytes(each.astype(np.uint8).tobytes()) for each in table.due],
-            "scales": _doubles(table.scales),
-            **_limits(table, parts.references.trajectory),
-        },
+        "grid": _limits(table, parts.references.trajectory),
         "task": {"times": _doubles(task.times), "jets": _doubles(task.jets[:, :ENDS])},
         "analysis": {
             str(m): {
@@ -351,6 +447,13 @@ def _sliders(
 ) -> list[dict[str, Any]]:
     """Parameters that a page may change: those of the robot but for its kinematics, which the motion is planned for, and of blocks."""
     known, found = scene_values(run.scene), list[dict[str, Any]]()
+    data = run.scene.model_dump(mode="json", exclude_none=True)
+
+    def add(name: str, value: float, targets: Sequence[str], key: str = "", unit: str = "", **more: Any) -> None:
+        entry = {"name": name, "label": name.replace("_", " ") if not unit else name, "unit": unit, "value": abs(value)}
+        place = re.findall(r"[^.\[\]]+", full_key(data, key)) if key else []
+        found.append(entry | {"sign": copysign(1.0, value), "targets": targets, "key": key, "place": place} | more)
+
     for name, value in starts.items():
         fixed = name.startswith("start.") or name.endswith((".length", "base_half_distance"))
         variable = variables[name]
@@ -358,13 +461,9 @@ def _sliders(
             continue
         # an imperfect robot has another value than the scene
         key = known[name].key if name in known and known[name].value == value else ""
-        entry = {"name": name, "label": name, "unit": shown_unit(variable.get("unit", "")), "value": abs(value)}
-        entry |= {"sign": 1.0 if value > 0.0 else -1.0, "targets": [name], "key": key}
-        if name.endswith((".x", ".y")):
-            parts = [f"{starts.get(f'{name[:-1]}{axis}', 0.0):g}" for axis in "xy"]
-            parts["xy".index(name[-1])] = "*"
-            entry["vector"] = f"[{','.join(parts)}]"
-        found.append(entry)
+        axes = [starts.get(f"{name[:-1]}{axis}", 0.0) for axis in "xy"] if name.endswith((".x", ".y")) else []
+        vector = {"vector": axes, "axis": "xy".index(name[-1])} if axes else {}
+        add(name, value, [name], key, shown_unit(variable.get("unit", "")), **vector)
     # a parameter that all joints have is one slider
     groups: dict[str, list[str]] = {}
     for name in image.parameters:
@@ -378,29 +477,10 @@ def _sliders(
             continue
         gain = rest.removesuffix("_gain")
         key = f"controller.{owner}.{gain}" if hasattr(sections.get(owner), gain) else ""
-        value = values[targets[0]]
-        found.append(
-            {
-                "name": name,
-                "label": name.replace("_", " "),
-                "unit": "",
-                "value": abs(value),
-                "sign": 1.0 if value > 0.0 else -1.0,
-            }
-            | {"targets": targets, "key": key}
-        )
+        add(name, values[targets[0]], targets, key)
     plan = run.plan
     if plan.repetition is None and plan.design is None and not plan.source and not run.scene.shaper:
-        found.append(
-            {
-                "name": "duration",
-                "label": "duration of the motion",
-                "unit": "s",
-                "value": plan.duration,
-                "targets": [],
-                "key": "trajectory.duration",
-            }
-        )
+        add("duration", plan.duration, [], "trajectory.duration", "s", label="duration of the motion")
     return found
 
 
@@ -438,14 +518,19 @@ def _knots(trajectory: Trajectory) -> TrajectoryTable:
     raise InputError("its motion isn't smooth enough for a table")
 
 
-def _limits(table: _Table, trajectory: Trajectory) -> dict[str, Any]:
-    """Knots of the joints' motion, and what its limits at the communication points differ by from what the page evaluates between them.
+def _limits(table: _Table | None, trajectory: Trajectory) -> dict[str, Any]:
+    """Knots of the joints' motion; and the communication points, with what the motion's limits there differ by from what the page
+    evaluates between the knots.
 
     Positions to order 6 (N, 7, axes) are all that there is, since velocities and accelerations share them. Differences are those of the
     bits as integers, which are small: they pack to a third of the numbers.
     """
     knots = _knots(trajectory)
     axes = knots.jets.shape[2]
+    scales = hermite_scales(2 * ENDS, 2, np.diff(knots.times)).reshape(2 * ENDS, -1).T
+    found = {"knots": _doubles(knots.times), "knot_jets": _doubles(knots.jets), "knot_scales": _doubles(scales)}
+    if table is None:
+        return found
 
     def limits(jets: RealArray) -> RealArray:
         return np.concatenate([jets[:, k : k + ENDS] for k in range(3)], axis=2)
@@ -457,15 +542,16 @@ def _limits(table: _Table, trajectory: Trajectory) -> dict[str, Any]:
             raise InputError("its references aren't derivatives of one another")
         return found
 
-    def difference(exact: RealArray, times: RealArray, side: Side) -> str:
+    def difference(exact: RealArray, times: RealArray, side: Side) -> bytes:
         found = jets(_evaluated(knots.times, limits(knots.jets), times, side), checked=False)
         return _doubles((exact.view(np.int64) - found.view(np.int64)).view(np.float64))
 
     jumps = np.flatnonzero((table.begins != table.ends).any(axis=(1, 2)))
-    return {
-        "knots": _doubles(knots.times),
-        "knot_jets": _doubles(knots.jets),
-        "knot_scales": _doubles(hermite_scales(2 * ENDS, 2, np.diff(knots.times)).reshape(2 * ENDS, -1).T),
+    return found | {
+        "times": _doubles(table.times),
+        "marked": table.marked.astype(np.uint8).tobytes(),
+        "due": [each.astype(np.uint8).tobytes() for each in table.due],
+        "scales": _doubles(table.scales),
         "jets": difference(jets(table.begins), table.times, "right"),
         "jumps": jumps.tolist(),
         "before": difference(jets(table.ends[jumps]), table.times[jumps], "left"),
@@ -493,11 +579,7 @@ def _evaluated(knots: RealArray, limits: RealArray, times: RealArray, side: Side
     return found
 
 
-def _bytes(content: bytes) -> str:
-    return base64.b64encode(content).decode()
-
-
-def _doubles(values: Any) -> str:
+def _doubles(values: Any) -> bytes:
     """Doubles with equal bytes together, which packs better."""
     flat = np.ascontiguousarray(values, dtype="<f8").reshape(-1)
-    return _bytes(flat.view(np.uint8).reshape(-1, 8).T.tobytes())
+    return flat.view(np.uint8).reshape(-1, 8).T.tobytes()

@@ -48,6 +48,8 @@ class Curve:
         notes: text for each point that is shown as well.
         dashes: lengths of dashes and gaps, separated by commas.
         group: name for the page's script.
+        source: what a page that simulates computes the curve from: ``of`` and ``factor`` for a signal or what ``Result.curve`` in
+            simulation.js has, ``run`` for its place among the runs, or ``metric`` and ``key`` for a metric over a slider's value.
     """
 
     x: RealArray
@@ -62,12 +64,14 @@ class Curve:
     notes: Sequence[str] = ()
     dashes: str = ""
     group: str = ""
+    source: Mapping[str, Any] | None = None
 
     def data(self, is_function: bool, most: int) -> dict[str, Any]:
         """The curve for the script; of a long one at most so many points."""
         chosen = thinned(self.y, most) if is_function else spread(self.y.size, most)
         known = {
-            name: getattr(self, name) for name in ("label", "colour", "width", "opacity", "dot", "is_read", "group")
+            name: getattr(self, name)
+            for name in ("label", "colour", "width", "opacity", "dot", "is_read", "group", "source")
         }
         channels = (self.x, self.y, *self.more.values())
         known |= {"dashes": [float(each) for each in self.dashes.split(",") if each]}

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
+from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition, display
 from flexfmu.cosim.reports.chart import MOST_POINTS, PALETTE, Curve, Panel, thinned
-from flexfmu.cosim.reports.page import Plot, Table, render_page
+from flexfmu.cosim.reports.page import Figure, Page, Plot, Table
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 
 SIGNALS: Mapping[str, tuple[str, float, Mapping[str, str]]] = {
@@ -92,6 +94,7 @@ class ComparedRun:
         loop: further figures, of `LOOP_FIGURES`.
         band: the same loop with other payloads; None if it wasn't run with them.
         failure: why the run failed or its loop diverged; empty otherwise.
+        run: the run itself; None for results that were read.
     """
 
     name: str
@@ -101,32 +104,33 @@ class ComparedRun:
     loop: Mapping[str, Metric] = field(default_factory=dict, repr=False)
     band: OverBand | None = field(default=None, repr=False)
     failure: str = ""
+    run: Run | None = field(default=None, repr=False, compare=False)
 
 
-def render_comparison(runs: Sequence[ComparedRun], tables: Sequence[Table], plots: Sequence[Plot] = ()) -> str:
-    """Return the page that compares runs as HTML.
+def comparison_page(runs: Sequence[ComparedRun], tables: Sequence[Table], plots: Sequence[Plot] = ()) -> Page:
+    """Return the page that compares runs.
 
     Args:
         runs: at least one; differences are relative to the first.
         tables: of metrics, loops, and what else there is.
         plots: further plots, before those of the signals; their keys mustn't start with ``compared``.
     """
-    lead = f"{_best(runs)}{len(runs)} runs, each in its colour; differences are relative to {runs[0].name}."
-    return render_page(
-        " · ".join(run.name for run in runs), lead, [*plots, *signal_plots(runs)], tables, first_tiles(runs)
-    )
+    verdict = f"{_best(runs)}{len(runs)} runs, each in its colour; differences are relative to {runs[0].name}."
+    title = " · ".join(run.name for run in runs)
+    return Page(title, verdict, [*plots, *signal_plots(runs)], tables, first_tiles(runs))
 
 
-def first_tiles(runs: Sequence[ComparedRun]) -> list[tuple[str, str]]:
-    """Return the main figures of the first runs side by side, each with what it is."""
-    tiles = []
+def first_tiles(runs: Sequence[ComparedRun]) -> list[tuple[str, Sequence[str]]]:
+    """Return what each of the main figures is, and its values of the first runs."""
+    tiles = list[tuple[str, Sequence[str]]]()
     for name in FIRST_METRICS:
         shown = [
-            each for run in runs[:TILE_RUNS] if (each := run.metrics.get(name)) is not None and each.value is not None
+            Figure.of(name, each.value, run=number, digits=4, error=each.error)
+            for number, run in enumerate(runs[:TILE_RUNS])
+            if (each := run.metrics.get(name)) is not None and each.value is not None
         ]
         if len(shown) == min(len(runs), TILE_RUNS):
-            values = " → ".join(display(name, each.value, 4, each.error) for each in shown)
-            tiles.append((values, definition(name).label))
+            tiles.append((definition(name).label, shown))
     return tiles
 
 
@@ -191,7 +195,8 @@ def metrics_table(runs: Sequence[ComparedRun]) -> Table:
     rows = []
     for name in names:
         found = [run.metrics.get(name, none) for run in runs]
-        rows.append([ALL_METRICS[name].label, name, *(_cell(name, each, found[0]) for each in found)])
+        cells = (_cell(name, each, found[0], number) for number, each in enumerate(found))
+        rows.append([ALL_METRICS[name].label, name, *cells])
     return Table(
         "Metrics",
         ["Metric", "Name", *(run.name for run in runs)],
@@ -200,13 +205,13 @@ def metrics_table(runs: Sequence[ComparedRun]) -> Table:
     )
 
 
-def _cell(name: str, measured: Metric, first: Metric) -> str:
+def _cell(name: str, measured: Metric, first: Metric, run: int) -> str:
     """Return a value, with its difference from the first run's in percent."""
     text = display(name, measured.value, error=measured.error)
-    if measured is first or measured.value is None or not first.value:
-        return text
-    difference = f"{100.0 * (measured.value - first.value) / abs(first.value):+.3g}".replace("-", "−")
-    return f"{text} ({difference} %)"
+    if measured is not first and measured.value is not None and first.value:
+        difference = f"{100.0 * (measured.value - first.value) / abs(first.value):+.3g}".replace("-", "−")
+        text = f"{text} ({difference} %)"
+    return Figure.of(name, measured.value, run=run, text=text, is_compared=run > 0)
 
 
 def signal_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
@@ -218,9 +223,15 @@ def signal_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
             for i, (label, curves) in enumerate((label, curves) for label, curves in found.items() if curves)
         ]
         if panels:
-            yield Plot(f"compared-{number}", title, "As recorded.", tuple(panels), height=90.0 + 100.0 * len(panels))
+            yield Plot(
+                f"compared-{number}",
+                title,
+                "Of all runs that have it.",
+                tuple(panels),
+                height=90.0 + 100.0 * len(panels),
+            )
     deviations = [
-        _signal_curve(number, run, 1e3 * deviation, runs)
+        _signal_curve(number, run, 1e3 * deviation, runs, {"of": "deviation", "factor": 1e3})
         for number, run in enumerate(runs)
         if (deviation := _deviation(run.recording)) is not None
     ]
@@ -239,16 +250,18 @@ def signal_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
 def _curves(runs: Sequence[ComparedRun], name: str, factor: float) -> list[Curve]:
     """Return a signal of all runs that have it."""
     return [
-        _signal_curve(number, run, factor * run.recording[name].values, runs)
+        _signal_curve(number, run, factor * run.recording[name].values, runs, {"of": name, "factor": factor})
         for number, run in enumerate(runs)
         if name in run.recording.columns
     ]
 
 
-def _signal_curve(number: int, run: ComparedRun, values: RealArray, runs: Sequence[ComparedRun]) -> Curve:
+def _signal_curve(
+    number: int, run: ComparedRun, values: RealArray, runs: Sequence[ComparedRun], source: Mapping[str, Any]
+) -> Curve:
     """Return values of a run over time, as many points as its curve may have."""
     chosen = thinned(values, min(max(POINTS // len(runs), FEWEST), MOST_POINTS))
-    return _curve(number, run, run.recording.time[chosen], values[chosen])
+    return _curve(number, run, run.recording.time[chosen], values[chosen], source)
 
 
 def _deviation(recording: Recording) -> RealArray | None:
@@ -266,14 +279,16 @@ def _spectra(runs: Sequence[ComparedRun], name: str) -> list[Curve]:
         if run.duration is not None and name in run.recording.columns:
             found = spectrum(run.recording.time, run.recording[name].values, run.duration)
             if found is not None:
-                curves.append(_curve(number, run, found[0], 1e6 * found[1]))
+                source = {"of": f"spectrum {name[-1]}", "factor": 1e6}
+                curves.append(_curve(number, run, found[0], 1e6 * found[1], source))
     return curves
 
 
-def _curve(number: int, run: ComparedRun, x: RealArray, y: RealArray) -> Curve:
+def _curve(number: int, run: ComparedRun, x: RealArray, y: RealArray, source: Mapping[str, Any]) -> Curve:
     """Return a curve in the colour of its run."""
     dashes = DASHED if number >= len(PALETTE) else ""
-    return Curve(x, y, run.name, PALETTE[number % len(PALETTE)], dashes=dashes)
+    source = {**source, "run": number}
+    return Curve(x, y, run.name, PALETTE[number % len(PALETTE)], dashes=dashes, source=source)
 
 
 def _marks(runs: Sequence[ComparedRun]) -> list[tuple[float, str]]:

@@ -11,7 +11,7 @@ links bend about the straight line from elbow to end effector, the end effector 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import floor, log10
@@ -171,8 +171,8 @@ def path_panel(run: Run, magnification: float) -> Panel:
         "deviation in y [µm]": 1e6 * deviation[:, 1],
     }
     curves = [
-        Curve(rigid[:, 0], rigid[:, 1], "rigid robot", GREY, is_read=False),
-        Curve(x, y, label=f"deviation × {magnification:g}", colour=FIRST, more=more),
+        Curve(rigid[:, 0], rigid[:, 1], "rigid robot", GREY, is_read=False, source={"of": "rigid path"}),
+        Curve(x, y, label=f"deviation × {magnification:g}", colour=FIRST, more=more, source={"of": "path"}),
     ]
     return Panel(label="y [m]", curves=curves, is_to_scale=True, is_function=False)
 
@@ -305,7 +305,8 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None, frames: int = FRAMES
     yield from motor_plots(run)
     if all(name in columns for name in JOINT_POSITIONS):
         errors = [_curve(joint_error(run.recording, joint, run.plan.joints)) for joint in (0, 1)]
-        panel = _both(run, "error [mrad]", "joint", [(time, 1e3 * values[:, 0]) for time, values in errors])
+        drawn = [(time, 1e3 * values[:, 0]) for time, values in errors]
+        panel = _both(run, "error [mrad]", "joint", drawn, [f"joint{joint}.error" for joint in (1, 2)], 1e3)
         yield Plot("tracking", "Tracking error", "Angle minus planned angle of each motor.", (panel,))
     if any(name in columns for name in TIP_DEFLECTIONS):
         caption = "Transverse displacement of the proximal links' tips."
@@ -314,22 +315,32 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None, frames: int = FRAMES
     # errors against the rigid robot
     caption = "Distance of the end effector from the rigid robot's, which tracks its path exactly."
     deviation = deviation_from_rigid(position(run.recording), run.plan.task)
-    yield Plot("position", "Position error", caption, (_norm(run, deviation, "error [mm]", 1e3),))
+    yield Plot("position", "Position error", caption, (_norm(run, deviation, "error [mm]", 1e3, "deviation"),))
     caption = "Norm of the deviation from the rigid robot's acceleration."
     moving = deviation.within(0.0, run.plan.duration).resolving_curvature(position_rounding(run.recording))[0]
-    yield Plot("acceleration", "Acceleration error", caption, (_norm(run, moving, "error [m/s²]", 1.0, order=2),))
+    yield Plot(
+        "acceleration",
+        "Acceleration error",
+        caption,
+        (_norm(run, moving, "error [m/s²]", 1.0, "acceleration", order=2),),
+    )
     # the dwell, if the run reached it
     if end_equilibrium is not None and deviation.within(run.plan.duration, np.inf).start.size:
         vibration = deviation_from_point(position(run.recording), end_equilibrium).within(run.plan.duration, np.inf)
         caption = "Distance from the static equilibrium at the end pose during the dwell, and the settling band."
         limits = run.plan.duration, float(run.recording.time[-1])
-        panel = _norm(run, vibration, "distance [µm]", 1e6)
+        panel = _norm(run, vibration, "distance [µm]", 1e6, "vibration")
         panel = replace(panel, level=1e6 * run.scene.cosimulation.settling_band, limits=limits)
         yield Plot("dwell", "Residual vibration", caption, (panel,))
         # spectra of both components, with the natural frequencies
         time, values = _curve(vibration)
         found = [(spectrum(time, values[:, axis], run.plan.duration), axis) for axis in (0, 1)]
-        curves = [Curve(each[0], 1e6 * each[1], "xy"[axis], COLOURS[axis]) for each, axis in found if each is not None]
+        curves = [
+            Curve(each[0], 1e6 * each[1], name, COLOURS[axis], source={"of": f"spectrum {name}", "factor": 1e6})
+            for each, axis in found
+            if each is not None
+            for name in "xy"[axis]
+        ]
         frequencies = [] if run.rests is None else run.rests.frequencies(run.parameters).tolist()
         marks = [(frequency, f"{number}") for number, frequency in enumerate(frequencies, start=1)]
         panel = spectrum_panel("amplitude [µm]", curves, marks)
@@ -353,8 +364,9 @@ def _references(run: Run) -> tuple[Panel, ...]:
     """Return reference position, velocity and acceleration of both joints."""
     panels = []
     for kind, unit in (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s²")):
-        values = [run.recording[f"joint{joint}.reference.{kind}"].values for joint in (1, 2)]
-        panels.append(_both(run, f"{kind}\n[{unit}]", "joint", [(run.recording.time, each) for each in values]))
+        names = [f"joint{joint}.reference.{kind}" for joint in (1, 2)]
+        values = [(run.recording.time, run.recording[name].values) for name in names]
+        panels.append(_both(run, f"{kind}\n[{unit}]", "joint", values, names))
     # the mark at the end of the motion in the last alone
     return (*(replace(each, marks=()) for each in panels[:-1]), panels[-1])
 
@@ -362,23 +374,31 @@ def _references(run: Run) -> tuple[Panel, ...]:
 def _pair(run: Run, names: tuple[str, ...], of: str, label: str, factor: float) -> Panel:
     """Return two signals of the same unit, interpolated between the communication points."""
     found = [_curve(segments(run.recording, [name])) if name in run.recording.columns else None for name in names]
-    return _both(run, label, of, [None if each is None else (each[0], factor * each[1][:, 0]) for each in found])
+    drawn = [None if each is None else (each[0], factor * each[1][:, 0]) for each in found]
+    return _both(run, label, of, drawn, names, factor)
 
 
-def _both(run: Run, label: str, of: str, found: Iterable[tuple[RealArray, RealArray] | None]) -> Panel:
-    """Return the curves of joints or links 1 and 2, as far as they are known."""
+def _both(
+    run: Run,
+    label: str,
+    of: str,
+    found: Iterable[tuple[RealArray, RealArray] | None],
+    names: Sequence[str],
+    factor: float = 1.0,
+) -> Panel:
+    """Return the curves of joints or links 1 and 2, as far as they are known; they are signals of these names times a factor."""
     curves = [
-        Curve(*each, f"{of} {number}", colour)
-        for number, (each, colour) in enumerate(zip(found, COLOURS, strict=True), start=1)
+        Curve(*each, f"{of} {number}", colour, source={"of": name, "factor": factor})
+        for number, (each, colour, name) in enumerate(zip(found, COLOURS, names, strict=True), start=1)
         if each is not None
     ]
     return Panel(label=label, curves=curves, marks=_marks(run.recording.time, run))
 
 
-def _norm(run: Run, signal: HermiteSegments, label: str, factor: float, order: int = 0) -> Panel:
+def _norm(run: Run, signal: HermiteSegments, label: str, factor: float, of: str, order: int = 0) -> Panel:
     """Return the norm of a signal's time derivative of the given order."""
     time, values = _curve(signal, order)
-    curve = Curve(time, factor * np.linalg.norm(values, axis=1))
+    curve = Curve(time, factor * np.linalg.norm(values, axis=1), source={"of": of, "factor": factor})
     return Panel(label=label, curves=[curve], from_zero=True, marks=_marks(time, run))
 
 

@@ -1,15 +1,13 @@
-"""The report of a run: a self-contained HTML file."""
+"""The report of a run."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, display_error
 from flexfmu.cosim.reports.comparison import FIRST_METRICS
-from flexfmu.cosim.reports.page import Plot, render
+from flexfmu.cosim.reports.page import RECORDED, Figure, Live, Page, Plot, Table, with_few_points
 from flexfmu.cosim.reports.summary import motor_rows, stress_rows, title_of
 from flexfmu.cosim.reports.work_precision import ACCURACY
 from flexfmu.trajectories.path import BLENDS
@@ -18,84 +16,67 @@ from flexfmu.trajectories.profiles import PROFILES
 FIRST_PLOTS = ("scene", "motion")
 """Plots beside the sliders."""
 
-FEW_POINTS = 300
-"""Points of a curve in a page that simulates."""
-
-OPEN = ("Motors", "Stress of the links", "Learning")
+OPEN = ("Metrics", "Motors", "Stress of the links", "Learning")
 """Tables that aren't folded away."""
 
 
-def render_report(summary: Mapping[str, Any], plots: Iterable[Plot], live: str = "", reason: str = "") -> str:
-    """Return the report as HTML.
+def report_page(summary: Mapping[str, Any], plots: Iterable[Plot], live: Live = RECORDED) -> Page:
+    """Return the report.
 
     Args:
         summary: summary of the run by `flexfmu.cosim.reports.summary.summarise`.
         plots: plots of the run by `flexfmu.cosim.reports.plots.draw_plots`.
-        live: the run as a module, `flexfmu.cosim.exchange.live.LiveRun.packed`; empty for a page that doesn't simulate.
-        reason: why it doesn't, where that was asked for.
+        live: what the page simulates.
     """
-    health, metrics, errors = summary["health"], summary["metrics"], summary["errors"]
-    # a page that simulates draws its curves from its own run
-    drawn = [replace(plot, points=FEW_POINTS) if live else plot for plot in plots]
-    return render(
-        "report.html.j2",
-        title=title_of(summary),
-        scene=summary["scene"],
-        effects=summary["effects"],
-        motion=_motion_sentence(summary["scene"], summary.get("motion")),
-        completed=health["outcome"] == "completed",
-        health=health,
-        coarse=[
-            {
-                "label": ALL_METRICS[warning["metric"]].label,
-                "error": display(warning["metric"], warning["estimated_error"], digits=1),
-            }
-            for warning in health["warnings"]
-            if "accuracy" not in summary  # of other figures, which may be coarser
-        ],
-        verdict=_verdict(summary, drawn),
-        tiles=[_tile(name, summary) for name in FIRST_METRICS],
+    drawn = list(plots)
+    completed, accuracy = summary["health"]["outcome"] == "completed", summary.get("accuracy", {}).get("text", ())
+    others = [plot for plot in drawn if not plot.key.startswith((ACCURACY, *FIRST_PLOTS))]
+    page = Page(
+        title_of(summary),
+        _verdict(summary, drawn),
+        others,
+        tiles=[_tile(name, summary) for name in FIRST_METRICS] if completed else (),
+        lead=_motion_sentence(summary["scene"], summary.get("motion")),
+        notices=list(_notices(summary)),
+        has_failed=not completed,
+        first=[plot for plot in drawn if plot.key in FIRST_PLOTS],
+        answers=("Accuracy" if accuracy else "", accuracy, [plot for plot in drawn if plot.key.startswith(ACCURACY)]),
+        folded=list(_tables(summary)),
         live=live,
-        reason=reason,
-        blocks=" and its controllers" if len(summary["slaves"]) > 2 else "",
-        open=OPEN,
-        first_plots=[plot for plot in drawn if plot.key in FIRST_PLOTS],
-        metrics=[
-            {
-                "label": ALL_METRICS[name].label,
-                "name": name,
-                "value": display(name, value, error=errors[name]),
-                "error": display_error(name, value, errors[name]),
-                "description": ALL_METRICS[name].description,
-            }
-            for name, value in metrics.items()
-        ],
-        accuracy=summary.get("accuracy"),
-        accuracy_plots=[plot for plot in drawn if plot.key.startswith(ACCURACY)],
-        plots=[plot for plot in drawn if not plot.key.startswith((ACCURACY, *FIRST_PLOTS))],
-        parameters=_scene_rows(summary["scene"]),
-        tables=_tables(summary),
-        versions=summary["versions"],
     )
+    return with_few_points(page) if live.packed else page
 
 
-def _tile(name: str, summary: Mapping[str, Any]) -> dict[str, Any]:
+def _notices(summary: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
+    health = summary["health"]
+    if health["outcome"] != "completed":
+        yield "The simulation did not finish.", health["message"]
+    coarse = [
+        f"{ALL_METRICS[each['metric']].label} {display(each['metric'], each['estimated_error'], digits=1)}"
+        for each in health["warnings"]
+        if "accuracy" not in summary  # of other figures, which may be coarser
+    ]
+    if coarse:
+        yield (
+            f"The communication step of {health['communication_step']:g} s is too coarse for some metrics.",
+            f"It leaves these uncertain by about: {'; '.join(coarse)}. A smaller `cosimulation.step` resolves them.",
+        )
+    if health["unstable_loop"]:
+        yield "The robot runs away from its references.", f"{health['unstable_loop']}."
+    if health["large_deflections"]:
+        sentences = " ".join(f"{each}." for each in health["large_deflections"])
+        yield "Links deflect more than linear beam theory allows.", sentences
+
+
+def _tile(name: str, summary: Mapping[str, Any]) -> tuple[str, Sequence[str]]:
     """One of the six figures, with its limit where the scene has one: the settling band, and the peak torque of a motor."""
-    value, info = summary["metrics"][name], definition(name)
     limits = {"residual_vibration_amplitude": summary["scene"]["cosimulation"]["settling_band"]}
     for motor in summary.get("motors", ()):
         known = {each["name"]: each["limit"] for each in motor["margins"]}
         limits[f"peak_torque_{motor['joint']}"] = known.get("peak torque")
-    limit, text = limits.get(name), display(name, value, 4, summary["errors"][name])
-    shown = {"factor": info.displayed(1.0), "unit": info.display_unit, "text": text, "limit": limit}
-    return {
-        "name": name,
-        "label": info.label,
-        "value": text,
-        "limit": "" if limit is None else f", limit {display(name, limit, 4)}",
-        "is_over": limit is not None and value is not None and value > limit,
-        "shown": json.dumps(shown),
-    }
+    limit = limits.get(name)
+    value = Figure.of(name, summary["metrics"][name], digits=4, error=summary["errors"][name], limit=limit)
+    return definition(name).label + ("" if limit is None else f", limit {display(name, limit, 4)}"), [value]
 
 
 def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
@@ -134,10 +115,19 @@ def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
     return f"{sentence[:1].upper()}{sentence[1:]}."
 
 
-def _tables(summary: Mapping[str, Any]) -> dict[str, dict[str, str]]:
-    """Return title → rows of the tables below the plots, without empty tables."""
+def _tables(summary: Mapping[str, Any]) -> Iterable[Table]:
+    """Yield the tables below the plots, without empty tables."""
+    errors = summary["errors"]
+    rows = [
+        [ALL_METRICS[name].label, name, Figure.of(name, value, error=errors[name]), display_error(name, value, errors[name]), ALL_METRICS[name].description]
+        for name, value in summary["metrics"].items()
+    ]  # fmt: skip
+    note = f"Metrics are properties of the continuous solution; {summary['health']['errors_from']}."
+    yield Table("Metrics", ["Metric", "Name", "Value", "±", "Meaning"], rows, note, 1, is_open=True)
     health, shaping, references = summary["health"], summary.get("shaping"), summary.get("references")
     tables = {
+        "Effects": summary["effects"],
+        "Scene file": _scene_rows(summary["scene"]),
         "Motors": {name: " / ".join(texts) for name, texts in motor_rows(summary.get("motors", ())).items()},
         "Stress of the links": stress_rows(summary.get("stresses", ())),
         "Shaping": {
@@ -173,8 +163,11 @@ def _tables(summary: Mapping[str, Any]) -> dict[str, dict[str, str]]:
         "Timing": {name: f"{seconds:.3f} s" for name, seconds in summary["timing"].items()},
         "Results": {name: f"SHA-256 {digest[:16]}…" for name, digest in summary.get("results", {}).items()},
         "Versions": {name: value or "–" for name, value in summary["versions"].items()},
+        "Messages of the FMU": {str(number): text for number, text in enumerate(health["messages"], start=1)},
     }
-    return {title: rows for title, rows in tables.items() if rows}
+    for title, rows in tables.items():
+        if rows:
+            yield Table(title, (), [[name, text] for name, text in rows.items()], texts=1, is_open=title in OPEN)
 
 
 def _motion_sentence(scene: Mapping[str, Any], source: str | None) -> str:

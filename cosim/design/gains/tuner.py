@@ -30,10 +30,13 @@ from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.many.executor import mapping
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.many.prepared_scene import PreparedScene
-from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS, metric
+from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS, definition, metric
+from flexfmu.cosim.reports.chart import INK, PALETTE, Curve, Panel
+from flexfmu.cosim.reports.page import Page, Plot, Table
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.file import load_scene
-from flexfmu.model.scene.keys import full_key, value_at
+from flexfmu.model.scene.keys import full_key, location, value_at
+from flexfmu.model.scene.messages import unit_of
 from flexfmu.model.scene.schema import Scene
 
 if TYPE_CHECKING:
@@ -135,6 +138,65 @@ class TuneResult(Rows):
             axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
             figure.suptitle(f"{self.study.scene.name}: {len(self.trials)} trials", fontsize=10)
         return figure
+
+    def tables(self) -> list[Table]:
+        """The keys, given and tuned; the figure that is minimised and those with limits."""
+        study, pair = self.study, (self.given.figures, self.best.figures)
+        data, keys = study.scene.model_dump(), list[list[str]]()
+        for each, own in zip(study.over, study.given(), strict=True):
+            unit = shown_unit(unit_of(location(data, each.key), Scene))
+            # both joints may have values of their own
+            both = value_at(data, each.key, study.scene.name)
+            given = ", ".join(f"{one:.5g}" for one in both) if own is None and isinstance(both, tuple) else own
+            values = (given, self.values.get(each.key, given), each.low, each.high)
+            cells = ("–" if one is None else one if isinstance(one, str) else f"{one:.5g}" for one in values)
+            keys.append([f"{each.key} [{unit}]" if unit else each.key, *cells])
+        goal = study.minimise
+        figures = [[goal.label, goal.name, *(goal.shown(goal.of(each)) for each in pair), "smallest"]]
+        for limited in study.conditions:
+            limit = f"{'<' if limited.limit.is_upper else '>'} {limited.goal.shown(limited.limit.limit)}"
+            found = (limited.goal.shown(limited.closest(each)) for each in pair)
+            figures.append([limited.goal.label, limited.goal.name, *found, limit])
+        band = ", worst over the robots" if study.robots else "" if study.band is None else ", worst over the payloads"
+        return [
+            Table(f"{study.scene.name}, tuned", ["Key", "Given", "Tuned", "From", "To"], keys),
+            Table(f"Figures{band}", ["Figure", "Name", "Given", "Tuned", "Limit"], figures),
+        ]
+
+    def page(self) -> str:
+        """The page: what the tuning gained, values and limits, and the figure of each trial, as HTML."""
+        goal, (keys, figures), curves = self.study.minimise, self.tables(), list[Curve]()
+        info = definition(goal.parts[0])
+        found = [goal.of(each.figures) for each in self.trials]
+        values = np.array([nan if each is None else info.displayed(each) for each in found])
+        kept = np.array([self.study.rank(each)[0] == 0 for each in self.trials])
+        texts = [
+            ", ".join(f"{key.key}={value:.5g}" for key, value in zip(self.study.over, each.values, strict=False))
+            for each in self.trials
+        ]
+        for some, name, colour in ((kept, "keeps all limits", PALETTE[0]), (~kept, "misses a limit", INK)):
+            places = np.flatnonzero(some & np.isfinite(values))
+            notes = [texts[place] or "given" for place in places]
+            curves.append(Curve(places.astype(np.float64), values[places], name, colour, 0.0, dot="disc", notes=notes))
+        # steps from trial to trial
+        best, number = np.fmin.accumulate(np.where(kept, values, np.nan)), np.arange(1.0 * len(values))
+        steps = np.repeat(number, 2)[1:], np.repeat(best, 2)[:-1]
+        curves.append(Curve(*steps, "best so far", PALETTE[1], is_read=False))
+        label = f"{goal.label}\n[{info.display_unit}]"
+        panel = Panel(
+            label=label, curves=[each for each in curves if each.x.size], level=float(values[0]), is_function=False
+        )
+        caption = "The figure that is minimised. Dashed: the given values."
+        plot = Plot("trials", "Trials", caption, (panel,), "trial", 300.0)
+        verdict = (
+            f"{goal.label} {goal.shown(goal.of(self.best.figures))}, given {goal.shown(goal.of(self.given.figures))}"
+        )
+        end = ", interrupted" if self.interrupted else ""
+        verdict += f"; {'all limits are kept' if self.is_feasible else 'no trial keeps all limits'} ({len(self.trials)} trials{end})."
+        tiles = [
+            (f"{row[0]}, limit {row[4]}" if k else row[0], [row[2], row[3]]) for k, row in enumerate(figures.rows[:6])
+        ]
+        return Page(f"{self.study.scene.name}, tuned", verdict, [plot], [keys, figures], tiles).html
 
     def __repr__(self) -> str:
         """Return at most five lines."""
@@ -344,14 +406,15 @@ def summary(result: TuneResult) -> dict[str, Any]:
 
 
 def write_tuning(result: TuneResult, folder: Path) -> list[Path]:
-    """Write trials and figures into a folder; return the files, ``tune.csv`` and ``tune.json``.
+    """Write trials and figures into a folder; return the files, ``tune.csv``, ``tune.json`` and ``tune.html``.
 
     Raises:
         ResultsError: a file can't be written.
     """
     out = OutputFolder(folder)
     out.prepare()
-    return [out.write("tune.csv", result.to_csv()), out.write("tune.json", to_json(summary(result)))]
+    texts = {"csv": result.to_csv(), "json": to_json(summary(result)), "html": result.page()}
+    return [out.write(f"tune.{ending}", text) for ending, text in texts.items()]
 
 
 def write_tuned(

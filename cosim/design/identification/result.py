@@ -17,7 +17,7 @@ from flexfmu.cosim.engine.showing import Rows, csv_text, few_lines, html_table, 
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.parameters import scene_values
 from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE, Curve, Panel, thinned
-from flexfmu.cosim.reports.page import Plot, Table, render_page
+from flexfmu.cosim.reports.page import Page, Plot, Table
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 from flexfmu.errors import read_text
 from flexfmu.model.scene.schema import Scene
@@ -461,7 +461,7 @@ class Identification(Rows):
                         "frequency [Hz]",
                     )
                 )
-        return render_page(f"{self.name}, identified", " ".join(self.messages), plots, [*self.tables()])
+        return Page(f"{self.name}, identified", " ".join(self.messages), plots, [*self.tables()]).html
 
     def write(self, folder: str | os.PathLike[str]) -> Path:
         """Write identified.html, identified.json, and draws.csv for `flexfmu sweep --cases`, into a folder; return its path.

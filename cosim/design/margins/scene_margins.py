@@ -29,7 +29,7 @@ from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
 from flexfmu.cosim.metrics.metric_table import LOOP_FIGURES
 from flexfmu.cosim.reports.chart import DASHES, FIRST, GREY, SECOND, Curve, Marker, Panel
-from flexfmu.cosim.reports.page import Plot, render_page
+from flexfmu.cosim.reports.page import Page, Plot
 from flexfmu.cosim.reports.page import Table as PageTable
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.fmu_build.own_models import linear_about
@@ -168,8 +168,8 @@ class MarginsResult(Rows):
             "disk margin",
             "peak of the sensitivity",
         )
-        tiles = list(zip(_texts(self.worst), names, strict=False))
-        return render_page(f"Margins of {self.scene.name}", self.verdict, plots, [table], tiles)
+        tiles = [(name, [text]) for name, text in zip(names, _texts(self.worst), strict=False)]
+        return Page(f"Margins of {self.scene.name}", self.verdict, plots, [table], tiles).html
 
     def row_units(self) -> Mapping[str, str]:
         """Margin → unit."""

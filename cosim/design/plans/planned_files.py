@@ -25,7 +25,7 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, Curve, Marker, Panel
 from flexfmu.cosim.reports.comparison import ComparedRun, first_tiles, metrics_table, signal_plots
-from flexfmu.cosim.reports.page import WIDTH, Plot, Table, render_page
+from flexfmu.cosim.reports.page import WIDTH, Page, Plot, Table
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import Coordinates
@@ -203,7 +203,7 @@ def plan_page(result: PlanResult) -> str:
     lead += " Stopped before the end: this is the best motion so far." if result.interrupted else ""
     title = f"{result.goals.scene.name}: planned motion"
     tables.append(metrics_table(compared))
-    return render_page(title, lead, [*plots, *signal_plots(compared)], tables, first_tiles(compared))
+    return Page(title, lead, [*plots, *signal_plots(compared)], tables, first_tiles(compared)).html
 
 
 def summary_table(result: PlanResult) -> Table:

@@ -1,92 +1,84 @@
-// Sliders that simulate: what they change is computed by the module in the page (simulation.js), and drawn in the page's charts.
+// Sliders that simulate: what they change is computed by the modules in the page (simulation.js), and drawn in the page's charts.
 (async () => {
-  const { html, short, charts } = page, panel = document.getElementById("live"), status = panel.querySelector(".status");
+  const { html, short, charts } = page, panel = document.getElementById("live"), status = panel.querySelector(".status"), get = (name) => panel.querySelector(name);
   await new Promise((done) => (charts.length ? done() : addEventListener("charts", done, { once: true })));
-  const simulation = await Simulation.load(document.getElementById("module").textContent), { facts } = simulation, usual = simulation.run();
-  const state = new Map(), rows = panel.querySelector(".sliders"), more = panel.querySelector(".more"), POSITION = ["end_effector.position.x", "end_effector.position.y"];
+  const { simulations, swept } = await Simulation.load(document.getElementById("module").textContent);
+  // runs side by side, or alternatives of one run, of which one is shown
+  const isCompared = simulations.some((each) => each.facts.place !== simulations[0].facts.place), usuals = new Map(), state = new Map();
+  const usual = (simulation) => { if (!usuals.has(simulation)) usuals.set(simulation, simulation.run()); return usuals.get(simulation); };
+  let chosen = 0;
+  const active = () => (isCompared ? simulations : [simulations[chosen]]);
 
-  // what the state of the sliders is for a run
-  const options = () => {
-    const parameters = {}, found = { parameters };
-    for (const [slider, value] of state) {
-      if (slider.name === "duration") found.stretch = value / facts.duration;
-      else if (slider.name === "accuracy") Object.assign(found, { step: facts.step * 2 ** value, tolerance: facts.tolerance * 10 ** value });
-      else for (const each of slider.targets) parameters[each] = value * (slider.sign ?? 1);
+  // a slider of all runs that have the parameter: the first's value, of which the others' are multiples
+  const sliders = [], spread = 3, accuracy = { name: "accuracy", label: "accuracy", unit: "", value: 0, low: -2, high: 3, steps: 1, of: new Map() };
+  for (const simulation of simulations) for (const each of simulation.facts.sliders) {
+    const known = sliders.find(({ name }) => name === each.name) ?? each;
+    if (known === each) sliders.push(Object.assign(each, { of: new Map(), range: swept[each.key], low: -1, high: 1, steps: 0.005 }));
+    known.of.set(simulation, each);
+  }
+  for (const each of sliders) if (isCompared && each.of.size < simulations.length) each.label += ` (${[...each.of.keys()].map(({ facts }) => facts.option).join(", ")})`;
+  // between place and value: logarithmic, but over the interval of a sweep
+  const valueAt = ({ range, value }, at) => +(range ? range[0] + ((range[1] - range[0]) * (at + 1)) / 2 : value * spread ** at).toPrecision(4);
+  const placeOf = ({ range, value }, v) => (range ? (2 * (v - range[0])) / (range[1] - range[0]) - 1 : Math.log(v / value) / Math.log(spread));
+  const own = (slider, simulation) => { const each = slider.of.get(simulation); return each && state.has(slider) ? (each.value === slider.value ? state.get(slider) : (each.value * state.get(slider)) / slider.value) : each?.value; };
+  const optionsOf = (simulation, changed = state.keys()) => {
+    const parameters = {}, found = { parameters }, { facts } = simulation;
+    for (const slider of changed) {
+      const value = own(slider, simulation);
+      if (slider === accuracy) Object.assign(found, { step: facts.step * 2 ** state.get(slider), tolerance: facts.tolerance * 10 ** state.get(slider) });
+      else if (value !== undefined && slider.name === "duration") found.stretch = value / facts.duration;
+      else if (value !== undefined) for (const each of slider.of.get(simulation).targets) parameters[each] = value * slider.of.get(simulation).sign;
     }
     return found;
   };
 
-  // sliders: the five that change the metrics most, the others folded away
+  // the five that change the metrics most, and those of a sweep; the others folded away
   const influence = (slider) => {
+    const [simulation] = slider.of.keys();
     try {
-      const value = slider.value * 1.1, changed = simulation.run(slider.name === "duration" ? { stretch: 1.1 } : { parameters: Object.fromEntries(slider.targets.map((each) => [each, value * (slider.sign ?? 1)])) });
-      const { metrics } = changed, before = usual.metrics;
-      return Object.keys(before).reduce((sum, name) => sum + (before[name] && metrics[name] !== null ? Math.min(Math.abs(metrics[name] / before[name] - 1), 1) : 0), 0);
-    } catch { return 0; }
+      state.set(slider, slider.value * 1.1);
+      const before = usual(simulation).metrics, { metrics } = simulation.run(optionsOf(simulation, [slider]));
+      return Object.keys(before).reduce((sum, name) => sum + (before[name] && metrics[name] !== null ? Math.min(Math.abs(metrics[name] / before[name] - 1), 1) : 0), slider.range ? 100 : 0);
+    } catch { return 0; } finally { state.delete(slider); }
   };
-  const spread = 3, accuracy = { name: "accuracy", label: "accuracy", unit: "", value: 0 };
-  const sliders = facts.sliders.map((each) => ({ ...each, influence: influence(each) })).sort((a, b) => b.influence - a.influence);
-  const written = (slider, value) => (slider === accuracy ? `step ${short(1e3 * facts.step * 2 ** value, 3)} ms, tolerance ${short(facts.tolerance * 10 ** value, 2)}` : `${short(value, 4)} ${slider.unit}`.trim());
+  for (const each of sliders) each.influence = influence(each);
+  sliders.sort((a, b) => b.influence - a.influence);
+  const { facts } = simulations[0];
+  const written = (slider) => {
+    const value = state.get(slider) ?? slider.value;
+    if (slider === accuracy) return `step ${short(1e3 * facts.step * 2 ** value, 3)} ms, tolerance ${short(facts.tolerance * 10 ** value, 2)}`;
+    const isSame = [...slider.of.values()].every((each) => each.value === slider.value);
+    return isSame ? `${short(value, 4)} ${slider.unit}`.trim() : `× ${short(value / slider.value, 4)}`;
+  };
+  const set = (slider, value, at = value) => {
+    if (at === slider.start) state.delete(slider); else state.set(slider, value);
+    slider.input.value = at;
+    slider.output.textContent = written(slider);
+  };
   const add = (slider, parent) => {
-    const label = html("label", { title: slider.key || "" }, parent), isAccuracy = slider === accuracy;
+    const label = html("label", { title: slider.key || "" }, parent);
     html("span", {}, label, slider.label);
-    slider.input = html("input", { type: "range", min: isAccuracy ? -2 : -1, max: isAccuracy ? 3 : 1, step: isAccuracy ? 1 : 0.005, value: 0, ariaLabel: slider.label }, label);
-    slider.output = html("output", {}, label, written(slider, slider.value));
-    slider.input.addEventListener("input", () => {
-      const at = +slider.input.value;
-      if (at === 0) state.delete(slider); else state.set(slider, isAccuracy ? at : +(slider.value * spread ** at).toPrecision(4));
-      slider.output.textContent = written(slider, state.get(slider) ?? slider.value);
-      changed();
-    });
+    slider.start = slider === accuracy ? 0 : placeOf(slider, slider.value);
+    slider.input = html("input", { type: "range", min: slider.low, max: slider.high, step: slider.steps, value: slider.start, ariaLabel: slider.label }, label);
+    slider.output = html("output", {}, label, written(slider));
+    slider.input.addEventListener("input", () => { const at = +slider.input.value; set(slider, slider === accuracy ? at : valueAt(slider, at), at); changed(); });
   };
-  sliders.slice(0, 5).forEach((each) => add(each, rows));
-  add(accuracy, rows);
-  sliders.slice(5).forEach((each) => add(each, more));
-  more.parentElement.hidden = sliders.length <= 5;
-
-  // curves of a result by the key of their chart: for each panel its curves as [x, y]
-  const kept = {}, distance = (one, other) => one[0].map((x, i) => Math.hypot(x - other[0][i], one[1][i] - other[1][i]));
-  const curves = {
-    references: (r) => ["position", "velocity", "acceleration"].map((kind) => [1, 2].map((j) => [r.time, r.signal(`joint${j}.reference.${kind}`)])),
-    torques: (r) => [[1, 2].map((j) => [r.time, r.signal(`joint${j}.torque`)])],
-    tracking: (r) => [[1, 2].map((j) => [r.time, r.signal(`joint${j}.position`).map((q, i) => 1e3 * (q - r.signal(`joint${j}.reference.position`)[i]))])],
-    deflections: (r) => [[1, 2].filter((j) => r.signal(`link${j}1.tip_deflection`)).map((j) => [r.time, r.signal(`link${j}1.tip_deflection`).map((v) => 1e3 * v)])],
-    position: (r) => [[[r.time, distance(r.ends(0), r.rigids(0)).map((v) => 1e3 * v)]]],
-    acceleration: (r) => { const n = r.index(r.duration, true); return [[[r.time.subarray(0, n), distance(r.ends(2), r.rigids(2)).subarray(0, n)]]]; },
-    dwell: (r) => { const n = r.index(r.duration); return [[[r.time.subarray(n), distance(r.ends(0), [0, 1].map((k) => new Float64Array(r.size).fill(r.rest[k]))).subarray(n).map((v) => 1e6 * v)]]]; },
-    spectrum: (r) => [[0, 1].map((k) => r.spectrum(k))],
-    path: (r) => {
-      const times = charts.flatMap((chart) => chart.panels).find((each) => each.motion)?.motion.magnification ?? 1, [ends, rigids] = [r.ends(0), r.rigids(0)];
-      return [[rigids, [0, 1].map((k) => rigids[k].map((v, i) => v + times * (ends[k][i] - v)))]];
-    },
-  };
-  // a computed curve of the recording is kept
-  for (const [key, all] of Object.entries(curves)) curves[key] = (r) => (r === usual ? (kept[key] ??= all(r)) : all(r));
-  Object.assign(Result.prototype, {
-    ends(order) { return POSITION.map((name) => this.signal(name, order)); },
-    rigids(order) { return (this.known ??= {})[order] ??= [0, 1].map((k) => Float64Array.from({ length: this.size }, (_, i) => this.rigid[i * 2 * ENDS + 2 * order + k])); },
-    index(time, isAfter = false) { let n = 0; while (n < this.size && (isAfter ? this.time[n] <= time + 1e-9 : this.time[n] < time - 1e-9)) n++; return n; },
-    // Hann window, mean removed, zeros appended to four times the length, as spectrum.py has it
-    spectrum(axis) {
-      const n = this.index(this.duration), time = this.time.subarray(n), values = this.ends(0)[axis].subarray(n), last = time.length - 1, count = Math.round((time[last] - time[0]) / facts.step);
-      if (count < 8) return [[], []];
-      const step = (time[last] - time[0]) / count, all = new Float64Array(count + 1);
-      for (let i = 0, at = 0; i <= count; i++) { const t = time[0] + i * step; while (at < last - 1 && time[at + 1] < t) at++; const h = time[at + 1] - time[at]; all[i] = h ? values[at] + (values[at + 1] - values[at]) * Math.min((t - time[at]) / h, 1) : values[at + 1]; }
-      const window = all.map((_, i) => 0.5 - 0.5 * Math.cos((2 * Math.PI * i) / count)), total = window.reduce((a, b) => a + b, 0), mean = all.reduce((sum, v, i) => sum + v * window[i], 0) / total;
-      const size = 2 ** Math.ceil(Math.log2(4 * (count + 1))), re = new Float64Array(size), im = new Float64Array(size);
-      all.forEach((v, i) => { let j = 0; for (let bit = 1, k = i; bit < size; bit <<= 1, k >>= 1) j = (j << 1) | (k & 1); re[j] = (v - mean) * window[i]; });
-      for (let half = 1; half < size; half <<= 1) for (let k = 0; k < half; k++) {
-        const c = Math.cos((-Math.PI * k) / half), s = Math.sin((-Math.PI * k) / half);
-        for (let i = k; i < size; i += 2 * half) { const j = i + half, x = c * re[j] - s * im[j], y = c * im[j] + s * re[j]; re[j] = re[i] - x; im[j] = im[i] - y; re[i] += x; im[i] += y; }
-      }
-      const shown = Math.min(size / 2, Math.ceil((charts.find((chart) => chart.key === "spectrum")?.panels[0].xLimits?.[1] ?? 1 / step) * size * step));
-      return [Float64Array.from({ length: shown }, (_, i) => i / (size * step)), Float64Array.from({ length: shown }, (_, i) => (1e6 * 2 * Math.hypot(re[i], im[i])) / total)];
-    },
-  });
+  const first = Math.max(5, sliders.filter((each) => each.range).length);
+  sliders.slice(0, first).forEach((each) => add(each, get(".sliders")));
+  if (!isCompared && simulations.length > 1) {
+    const label = html("label", {}, get(".sliders"));
+    html("span", {}, label, "input shaper");
+    const select = html("select", { ariaLabel: "input shaper", onchange: () => { chosen = +select.value; changed(); } }, label);
+    simulations.forEach(({ facts: { option } }, i) => html("option", { value: i }, select, option || "as in the scene"));
+    page.choose = (i) => { select.value = chosen = i; };
+  }
+  add(accuracy, get(".sliders"));
+  sliders.slice(first).forEach((each) => add(each, get(".more")));
+  get(".more").parentElement.hidden = sliders.length <= first;
 
   // the robot in motion: points along its links, the rigid robot's and the deviations, at the animation's instants
   const moved = (motion, r) => {
-    const { robot } = facts, { count } = motion, instants = (motion.instants = 121), all = new Float32Array(instants * (1 + 4 * count)), from = r.time[r.size - 1] - Math.min(r.time[r.size - 1], robot.longest);
+    const { robot } = r.simulation.facts, { count } = motion, instants = (motion.instants = 121), all = new Float32Array(instants * (1 + 4 * count)), from = r.time[r.size - 1] - Math.min(r.time[r.size - 1], robot.longest);
     const ends = r.ends(0), rigids = r.rigids(0), signal = (...names) => names.map((name) => r.signal(name)).find(Boolean);
     const bent = robot.shapes.map(({ signals, matrix }) => ({ matrix, found: signals.map((name) => r.signal(name)) }));
     for (let f = 0, i = 0; f < instants; f++) {
@@ -117,98 +109,135 @@
     motion.slider.max = instants - 1;
   };
 
-  // draw a result; recorded curves stay as thin lines, and references are what they were unless their time changes
-  const shown = new Set([...document.querySelectorAll("[data-metric]")].map((tile) => tile.dataset.metric));
-  let referenced = "";
-  const show = (r, isUsual) => {
+  // draw results; recorded curves stay as thin lines
+  const cells = [...document.querySelectorAll("[data-metric]")].map((cell) => ({ cell, name: cell.dataset.metric, text: cell.textContent, ...JSON.parse(cell.dataset.shown) }));
+  const metricCurves = charts.flatMap((chart) => chart.panels.flatMap(({ curves }) => curves.map((each) => each.source?.metric))).filter(Boolean);
+  const shown = new Set([...cells.map((each) => each.name), ...metricCurves]), verdict = document.querySelector(".verdict"), recordedVerdict = verdict.textContent;
+  const magnification = () => charts.flatMap((chart) => chart.panels).find((each) => each.motion)?.motion.magnification;
+  const sliderOf = (key) => sliders.find((each) => each.key === key);
+  const show = (results, isUsual) => {
+    const [one] = results.values();
     for (const chart of charts) {
-      const isShown = chart.key in curves && (chart.key !== "dwell" && chart.key !== "spectrum" || r.time[r.size - 1] > r.duration);
-      const { motion } = chart.panels[0];
-      if (motion) chart.whenSeen(() => { const now = motion.time[motion.frame]; moved(motion, r); motion.show(now); });
-      if (chart.key === "references" && referenced === r.grid.key) continue;
-      if (isShown) chart.whenSeen(() => {
-        const recorded = isUsual || chart.key === "references" ? null : curves[chart.key](usual);
-        curves[chart.key](r).forEach((list, n) => list.forEach(([x, y], i) => {
-          const curve = chart.panels[n].curves[i];
-          if (curve) Object.assign(curve, { x, y, ghost: recorded && { x: recorded[n][i][0], y: recorded[n][i][1] } });
-        }));
+      const { motion } = chart.panels[0], sources = chart.panels.flatMap(({ curves }) => curves.map((each) => each.source)).filter(Boolean);
+      if (motion) chart.whenSeen(() => { const now = motion.time[motion.frame]; moved(motion, one); motion.show(now); });
+      if (sources.length) chart.whenSeen(() => {
         for (const each of chart.panels) {
-          if (each.marks.length && chart.overTime) each.marks[0] = [r.duration, each.marks[0][1]];
-          if (chart.key === "dwell") each.xLimits = [r.duration, r.time[r.size - 1]];
+          for (const curve of each.curves) {
+            const { source } = curve, r = results.get(source?.run ?? 0);
+            if (!source || !r) continue;
+            if (source.metric) {
+              const slider = sliderOf(source.key), value = r.metrics[source.metric];
+              Object.assign(curve, { x: [slider ? state.get(slider) ?? slider.value : NaN], y: [value === null || value === undefined ? NaN : value * source.factor] });
+              continue;
+            }
+            const options = { magnification: magnification(), most: each.xLimits?.[1] };
+            const [x, y] = r.curve(source, options) ?? [curve.x, curve.y], before = isUsual || source.of.includes("reference") ? null : usual(isCompared ? r.simulation : simulations[0]).curve(source, options);
+            Object.assign(curve, { x, y, ghost: before && { x: before[0], y: before[1] } });
+          }
+          if (each.marks.length && chart.overTime && !isCompared) each.marks[0] = [one.duration, each.marks[0][1]];
+          if (chart.key === "dwell") each.xLimits = [one.duration, one.time[one.size - 1]];
         }
         chart.redraw(true);
       });
     }
-    referenced = r.grid.key;
-    const metrics = r.measure(shown), verdict = document.querySelector(".verdict");
-    verdict.dataset.recorded ??= verdict.textContent;
-    verdict.textContent = (isUsual ? "" : "As recorded: ") + verdict.dataset.recorded;
-    for (const tile of document.querySelectorAll("[data-metric]")) {
-      const { factor, unit, text, limit } = JSON.parse(tile.dataset.shown), value = metrics[tile.dataset.metric];
-      if (!(tile.dataset.metric in metrics)) continue;
-      tile.parentElement.classList.toggle("over", limit !== null && value > limit);
-      tile.textContent = isUsual ? text : value === null ? "–" : `${short(value * factor, 5)} ${unit}`.trim();
+    verdict.textContent = (isUsual ? "" : "As recorded: ") + recordedVerdict;
+    const metrics = new Map([...results].map(([place, r]) => [place, r.measured ?? r.measure(shown)])), zero = metrics.get(0);
+    for (const { cell, name, text, run, factor, unit, limit, compared } of cells) {
+      const value = metrics.get(run)?.[name], isKnown = value !== undefined, base = zero?.[name];
+      const difference = compared && value && base ? ` (${value < base ? "" : "+"}${short(100 * (value / base - 1), 3)} %)` : "";
+      cell.classList.toggle("stale", !isUsual && !isKnown);
+      if (isKnown && !isUsual) cell.classList.toggle("over", limit !== null && value > limit);
+      cell.textContent = isUsual || !isKnown ? text : value === null ? "–" : `${short(value * factor, 5)} ${unit}`.trim() + difference;
     }
-    return metrics;
   };
 
   // the error of a result by a companion, where there is time
-  let pending = 0, idle = 0;
-  const companion = (given, r, metrics) => {
+  let pending = 0, idle = 0, addressed = 0;
+  const companion = (simulation, r) => {
+    const given = optionsOf(simulation), metrics = r.measure(shown);
     const finer = simulation.run({ ...given, step: (given.step ?? facts.step) / 2, tolerance: Math.max((given.tolerance ?? facts.tolerance) / 100, 1e-12) }).measure(shown);
     const errors = Object.keys(metrics).map((name) => (metrics[name] && finer[name] ? Math.abs(finer[name] / metrics[name] - 1) : 0));
     status.textContent = `${status.dataset.time}, metrics within ${short(Math.max(...errors, 1e-12), 2)} of a run with half the step and a hundredth of the tolerance`;
   };
   const update = () => {
     pending = 0;
-    const began = performance.now(), given = options(), isUsual = state.size === 0;
+    const began = performance.now(), isUsual = state.size === 0 && chosen === 0;
     try {
-      const r = isUsual ? usual : simulation.run(given), metrics = show(r, isUsual);
-      status.dataset.time = `simulated in ${short(r.elapsed, 3)} ms`;
-      status.textContent = r.failure ? `${status.dataset.time}: ${r.failure}` : status.dataset.time;
+      const results = new Map(active().map((each) => [each.facts.place, state.size ? each.run(optionsOf(each)) : usual(each)])), [r] = results.values();
+      show(results, isUsual);
+      const failed = [...results.values()].find((each) => each.failure);
+      status.dataset.time = `simulated in ${short([...results.values()].reduce((sum, each) => sum + each.elapsed, 0), 3)} ms`;
+      status.textContent = failed ? `${status.dataset.time}: ${failed.failure}` : status.dataset.time;
       clearTimeout(idle);
-      if (!r.failure) idle = setTimeout(() => companion(given, r, metrics), 300);
+      if (!failed && !isCompared) idle = setTimeout(() => companion(active()[0], r), 300);
     } catch (error) { status.textContent = error.message; }
     page.redrawn = performance.now() - began;
     page.updates = (page.updates ?? 0) + 1;
   };
-  let addressed = 0;
   const changed = () => {
-    const text = [...state].map(([slider, value]) => `${slider.name}=${value}`).join("&");
+    const parts = [...state].map(([slider, value]) => `${slider.name}=${value}`);
+    if (chosen) parts.unshift(`shaper=${chosen}`);
     // which takes milliseconds, and browsers limit how often
     clearTimeout(addressed);
     addressed = setTimeout(() => {
-      try { history.replaceState(null, "", text ? `#${text}` : location.pathname + location.search); } catch { /* a notebook's frame has no address */ }
+      try { history.replaceState(null, "", parts.length ? `#${parts.join("&")}` : location.pathname + location.search); } catch { /* a notebook's frame has no address */ }
     }, 150);
-    panel.querySelector(".reset-all").hidden = !state.size;
+    get(".reset-all").hidden = !parts.length;
     pending ||= requestAnimationFrame(update);
   };
-  const command = () => `flexfmu run ${facts.name}${[...state].map(([slider, value]) => {
-    if (slider === accuracy) return ` --step ${+(facts.step * 2 ** value).toPrecision(6)} --tolerance ${+(facts.tolerance * 10 ** value).toPrecision(6)}`;
-    return slider.key ? ` --set '${slider.key}=${slider.vector ? slider.vector.replace("*", value * (slider.sign ?? 1)) : value}'` : "";
-  }).join("")}`;
-  const copy = panel.querySelector(".copy");
-  copy.addEventListener("click", async () => {
-    const text = command();
-    copy.nextElementSibling.textContent = text;
-    await navigator.clipboard?.writeText(text).catch(() => {});
+
+  // the state as a command, and as a scene
+  const numbers = (slider, simulation) => {
+    const { vector, axis, sign } = slider.of.get(simulation), value = own(slider, simulation) * sign;
+    return vector ? vector.map((each, i) => (i === axis ? value : each)) : value;
+  };
+  const toml = (value) => {
+    if (Array.isArray(value)) return `[${value.map(toml).join(", ")}]`;
+    return value && typeof value === "object" ? `{ ${Object.entries(value).map(([key, each]) => `${key} = ${toml(each)}`).join(", ")} }` : JSON.stringify(value);
+  };
+  const command = () => {
+    const [simulation] = active(), names = [...new Set(active().map((each) => each.facts.name))], parts = [isCompared ? "flexfmu compare" : "flexfmu run", ...names];
+    for (const [slider, value] of state) {
+      if (slider === accuracy) parts.push(`--step ${+(facts.step * 2 ** value).toPrecision(6)} --tolerance ${+(facts.tolerance * 10 ** value).toPrecision(6)}`);
+      else if (slider.key) parts.push(`--set '${slider.key}=${toml(numbers(slider, slider.of.has(simulation) ? simulation : [...slider.of.keys()][0]))}'`);
+    }
+    if (chosen) parts.push(`--set 'shaper=${toml(simulation.facts.scene.shaper ?? [])}'`);
+    return parts.join(" ");
+  };
+  const scene = () => {
+    const [simulation] = active(), all = structuredClone(simulation.facts.scene), { step, tolerance } = optionsOf(simulation);
+    if (step) Object.assign(all.cosimulation, { step, tolerance });
+    for (const slider of state.keys()) {
+      const place = slider.of.get(simulation)?.place ?? [], value = place.length && numbers(slider, simulation);
+      place.reduce((found, name, i) => (i === place.length - 1 ? (found[name] = value) : (found[name] ??= {})), all);
+    }
+    const isTable = (each) => each && typeof each === "object" && !Array.isArray(each), lines = (each) => Object.entries(each).map(([key, value]) => `${key} = ${toml(value)}\n`).join("");
+    const parts = Object.entries(all).map(([key, each]) => (isTable(each) ? `\n[${key}]\n${lines(each)}` : isTable(each[0]) ? each.map((one) => `\n[[${key}]]\n${lines(one)}`).join("") : lines({ [key]: each })));
+    return parts.sort((a, b) => (a[0] === "\n") - (b[0] === "\n")).join("");
+  };
+  for (const [name, text] of [[".copy", command], [".copy-scene", scene]]) get(name).addEventListener("click", () => {
+    Object.assign(get(".command"), { textContent: text(), hidden: false });
+    navigator.clipboard?.writeText(text()).catch(() => {});
   });
-  panel.querySelector(".reset-all").addEventListener("click", () => {
-    for (const slider of [...state.keys()]) { slider.input.value = 0; slider.output.textContent = written(slider, slider.value); }
-    state.clear();
+  get(".reset-all").addEventListener("click", () => {
+    for (const slider of [...state.keys()]) set(slider, 0, slider.start);
+    if (chosen) page.choose(0);
     changed();
   });
+  // a point of a sweep that was picked
+  page.pick = (values) => {
+    for (const [key, value] of Object.entries(values)) { const slider = sliderOf(key); if (slider) set(slider, +value.toPrecision(7), placeOf(slider, value)); }
+    changed();
+  };
   // the state that the address has
   for (const part of location.hash.slice(1).split("&")) {
     const [name, value] = part.split("="), slider = [...sliders, accuracy].find((each) => each.name === name);
-    if (!slider || !isFinite(+value)) continue;
-    state.set(slider, +value);
-    slider.input.value = slider === accuracy ? value : Math.log(value / slider.value) / Math.log(spread);
-    slider.output.textContent = written(slider, +value);
+    if (name === "shaper" && simulations[+value] && page.choose) page.choose(+value);
+    if (slider && isFinite(value) && (slider === accuracy || +value > 0)) set(slider, +value, slider === accuracy ? +value : placeOf(slider, +value));
   }
-  show(usual, true);
-  if (state.size) changed(); else status.textContent = `simulated in ${short(usual.elapsed, 3)} ms, with all bits of the recording`;
-  page.live = { simulation, usual, update, state, sliders, command };
+  show(new Map(active().map((each) => [each.facts.place, usual(each)])), true);
+  if (state.size || chosen) changed(); else status.textContent = `simulated in ${short(usual(simulations[0]).elapsed, 3)} ms${facts.grid.times ? ", with all bits of the recording" : ""}`;
+  page.live = { simulations, simulation: simulations[0], usual: usual(simulations[0]), update, state, sliders, command, scene };
   panel.classList.add("ready");
 })().catch((error) => {
   document.querySelector("#live .status").textContent = `This browser can't simulate: ${error.message}. All is as recorded.`;

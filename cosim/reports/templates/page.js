@@ -80,6 +80,11 @@ const page = (() => {
           setSelect: [(u) => { if (u.select.width > 5) this.selected(u.select); u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false); }],
         },
       }, [[this.whole.x[0], this.whole.x[1]], [null, null]], this.box ??= html("div", { className: "panel" }, chart.body));
+      // uPlot keeps clicks to itself whose cursor has moved by parts of a pixel
+      let down = null;
+      this.plot.over.addEventListener("pointermove", () => this.plot.syncRect(true));
+      this.plot.over.addEventListener("pointerdown", (event) => (down = event));
+      this.plot.over.addEventListener("pointerup", (event) => { if (down && this.chosen && Math.hypot(event.x - down.x, event.y - down.y) < 4) page.pick?.(this.chosen); });
     }
     // the height at which both axes have one scale, and limits that fit it
     scaled(width) {
@@ -156,6 +161,7 @@ const page = (() => {
         if (d < distance) { distance = d; best = [c, i]; }
       }
       this.picked = best && [best[0].x[best[1]], best[0].y[best[1]]];
+      this.chosen = best && Object.fromEntries(best[0].more.map((name, k) => [name.replace(/ \[.*\]/, ""), best[0].extra[k][best[1]]]));
       this.chart.say(best ? this.told(...best) : "");
       if (best && best[0].more[0]?.startsWith("time")) page.at(best[0].extra[0][best[1]], this);
       u.redraw(false);

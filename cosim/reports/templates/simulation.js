@@ -1,22 +1,28 @@
 // A run in the page: the module has robot, blocks and master (flexfmu.cosim.exchange.live); here are the motion's points and the metrics.
-const decoded = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
 // doubles, of which equal bytes lie together
-const doubles = (text) => {
-  const bytes = decoded(text), count = bytes.length / 8, all = new Uint8Array(bytes.length);
+const doubles = (bytes) => {
+  const count = bytes.length / 8, all = new Uint8Array(bytes.length);
   for (let i = 0; i < count; i++) for (let k = 0; k < 8; k++) all[8 * i + k] = bytes[k * count + i];
   return new Float64Array(all.buffer);
 };
+// a line of JSON, whose arrays are places in the bytes behind it
 const unpacked = async (text) => {
-  const stream = new Blob([decoded(text)]).stream().pipeThrough(new DecompressionStream("gzip"));
-  return JSON.parse(await new Response(stream).text());
+  const stream = new Blob([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))]).stream().pipeThrough(new DecompressionStream("gzip"));
+  const bytes = new Uint8Array(await new Response(stream).arrayBuffer()), end = bytes.indexOf(10), content = bytes.subarray(end + 1);
+  return JSON.parse(new TextDecoder().decode(bytes.subarray(0, end)), (key, value) => (value?.size === undefined || value.at === undefined ? value : content.subarray(value.at, value.at + value.size)));
 };
-const ENDS = 5, ORDERS = 10, FACTORIALS = Array.from({ length: ORDERS }, (_, k) => { let f = 1; while (k > 1) f *= k--; return f; });
+const POSITION = ["end_effector.position.x", "end_effector.position.y"], ENDS = 5, ORDERS = 10, FACTORIALS = Array.from({ length: ORDERS }, (_, k) => { let f = 1; while (k > 1) f *= k--; return f; });
 
 class Simulation {
+  /** The runs that a page has, and what it sweeps. */
   static async load(text) {
-    const facts = await unpacked(text);
-    const { instance } = await WebAssembly.instantiate(decoded(facts.module));
-    return new Simulation(facts, instance.exports);
+    const { runs, swept } = await unpacked(text), modules = new Map(), simulations = [];
+    for (const facts of runs) {
+      const { module } = facts;
+      if (!modules.has(module.byteOffset)) modules.set(module.byteOffset, await WebAssembly.compile(module));
+      simulations.push(new Simulation(facts, (await WebAssembly.instantiate(modules.get(module.byteOffset))).exports));
+    }
+    return { simulations, swept };
   }
 
   constructor(facts, exports) {
@@ -26,7 +32,7 @@ class Simulation {
     this.callbacks = exports.wasm_callbacks();
     this.guid = this.text(facts.model.guid);
     this.label = this.text("plant");
-    const { grid } = facts, times = doubles(grid.times), knots = doubles(grid.knots), knotJets = doubles(grid.knot_jets), axes = knotJets.length / knots.length / 7;
+    const { grid } = facts, knots = doubles(grid.knots), knotJets = doubles(grid.knot_jets), axes = knotJets.length / knots.length / 7;
     this.axes = axes;
     // limits of positions, velocities and accelerations, [point][order][kind and axis], and back
     const limits = (jets) => {
@@ -35,9 +41,21 @@ class Simulation {
         all[at++] = jets[(n * 7 + k + kind) * axes + a];
       return all;
     };
-    const known = limits(knotJets), row = ENDS * 3 * axes;
+    const known = limits(knotJets);
     this.joints = { times: knots, begins: known, polynomials: this.polynomials(knots, known, known, 3 * axes, doubles(grid.knot_scales)) };
-    // what the page evaluates, and the differences of its bits from the run's
+    if (grid.times) this.usual = this.recorded(limits);
+    const task = doubles(facts.task.times), path = doubles(facts.task.jets);
+    this.task = { times: task, begins: path, polynomials: this.polynomials(task, path, path, 2) };
+    this.analysis = Object.fromEntries(Object.entries(facts.analysis).map(([m, { control, highest, quadratures }]) => {
+      const put = (text) => this.put(doubles(text));
+      const quadrature = ([weights, ...others]) => ({ points: doubles(weights).length, tables: [weights, ...others].map(put) });
+      return [m, { control: put(control), highest: put(highest), quadratures: Object.fromEntries(Object.entries(quadratures).map(([k, all]) => [k, quadrature(all)])) }];
+    }));
+  }
+
+  // communication points of the recording with all bits: what the page evaluates, and the differences of its bits from the run's
+  recorded(limits) {
+    const { facts: { grid }, axes } = this, times = doubles(grid.times), row = ENDS * 3 * axes;
     const exact = (text, at, isLeft) => {
       const found = new Float64Array(row), jets = new Float64Array(at.length * 7 * axes), bits = new BigInt64Array(jets.buffer), differences = new BigInt64Array(doubles(text).buffer);
       at.forEach((time, n) => {
@@ -49,15 +67,8 @@ class Simulation {
     };
     const begins = exact(grid.jets, times, false), ends = begins.slice(), left = exact(grid.before, grid.jumps.map((n) => times[n]), true);
     grid.jumps.forEach((n, i) => ends.set(left.subarray(i * row, (i + 1) * row), n * row));
-    const flags = { marked: decoded(grid.marked), due: grid.due.map(decoded) };
-    this.usual = { times, begins, ends, ...flags, polynomials: this.polynomials(times, begins, ends, 3 * axes, doubles(grid.scales)) };
-    const task = doubles(facts.task.times), path = doubles(facts.task.jets);
-    this.task = { times: task, begins: path, polynomials: this.polynomials(task, path, path, 2) };
-    this.analysis = Object.fromEntries(Object.entries(facts.analysis).map(([m, { control, highest, quadratures }]) => {
-      const put = (text) => this.put(doubles(text));
-      const quadrature = ([weights, ...others]) => ({ points: doubles(weights).length, tables: [weights, ...others].map(put) });
-      return [m, { control: put(control), highest: put(highest), quadratures: Object.fromEntries(Object.entries(quadratures).map(([k, all]) => [k, quadrature(all)])) }];
-    }));
+    const flags = { marked: grid.marked, due: grid.due };
+    return { times, begins, ends, ...flags, polynomials: this.polynomials(times, begins, ends, 3 * axes, doubles(grid.scales)) };
   }
 
   // memory of the module
@@ -176,7 +187,7 @@ class Simulation {
 
   /** Simulates with `parameters` of robot and blocks; `tolerance`, `step` and `stretch` of the duration where they differ. */
   run({ parameters = {}, tolerance = this.facts.tolerance, step = this.facts.step, stretch = 1 } = {}) {
-    const { facts, exports } = this, isUsual = step === facts.step && stretch === 1;
+    const { facts, exports } = this, isUsual = this.usual && step === facts.step && stretch === 1;
     const key = `${step} ${stretch}`;
     if (this.known?.key !== key) {
       if (!isUsual) this.known = { key, ...this.grid({ step, stretch }) };
@@ -193,7 +204,7 @@ class Simulation {
     const { announced, ended, times, due, marked, instants } = this.places;
     const width = facts.channels.reduce((sum, [, n]) => sum + n, 1), rows = this.area("rows", 8 * width * capacity);
     // the image, with parameters of blocks, relocated
-    this.image ??= decoded(facts.image);
+    this.image ??= facts.image;
     const base = this.put(this.image, "image"), words = (place) => this.view(Uint32Array, base + place, 1);
     for (const place of facts.addresses) words(place)[0] += base;
     for (const [place, number] of facts.functions) words(place)[0] = exports.live_function(number);
@@ -270,6 +281,51 @@ class Result {
     if (!known) return undefined;
     return known[1].length > order ? this.row(known[1][order]) : new Float64Array(this.size);
   }
+  ends(order) {
+    return POSITION.map((name) => this.signal(name, order));
+  }
+  rigids(order) {
+    return (this.known ??= {})[order] ??= [0, 1].map((k) => Float64Array.from({ length: this.size }, (_, i) => this.rigid[i * 2 * ENDS + 2 * order + k]));
+  }
+  index(time, isAfter = false) {
+    let n = 0;
+    while (n < this.size && (isAfter ? this.time[n] <= time + 1e-9 : this.time[n] < time - 1e-9)) n++;
+    return n;
+  }
+  /** What a curve shows, as [x, y]: a signal times a factor, or what is derived from it (`source` in chart.py). */
+  curve({ of, factor = 1 }, { magnification = 1, most } = {}) {
+    const { time } = this, scaled = (values) => values.map((v) => v * factor), distance = (one, other) => one[0].map((x, i) => Math.hypot(x - other[0][i], one[1][i] - other[1][i]));
+    if (of === "deviation") return [time, scaled(distance(this.ends(0), this.rigids(0)))];
+    if (of === "acceleration") { const n = this.index(this.duration, true); return [time.subarray(0, n), distance(this.ends(2), this.rigids(2)).subarray(0, n)]; }
+    if (of === "vibration") { const n = this.index(this.duration); return [time.subarray(n), scaled(distance(this.ends(0), [0, 1].map((k) => new Float64Array(this.size).fill(this.rest[k]))).subarray(n))]; }
+    if (of === "rigid path") return this.rigids(0);
+    if (of === "path") { const ends = this.ends(0); return this.rigids(0).map((each, k) => each.map((v, i) => v + magnification * (ends[k][i] - v))); }
+    if (of.startsWith("spectrum")) { const [x, y] = this.spectrum("xy".indexOf(of.at(-1)), most); return [x, scaled(y)]; }
+    if (of.endsWith(".error")) { const joint = of.slice(0, -5), reference = this.signal(`${joint}reference.position`); return [time, this.signal(`${joint}position`).map((q, i) => factor * (q - reference[i]))]; }
+    const values = this.signal(of);
+    return values && [time, factor === 1 ? values : scaled(values)];
+  }
+  // Hann window, mean removed, zeros appended to four times the length, as spectrum.py has it
+  spectrum(axis, most = Infinity) {
+    const n = this.index(this.duration), time = this.time.subarray(n), values = this.ends(0)[axis].subarray(n), last = time.length - 1, count = Math.round((time[last] - time[0]) / this.simulation.facts.step);
+    if (!(count >= 8)) return [[], []];
+    const step = (time[last] - time[0]) / count, all = new Float64Array(count + 1);
+    for (let i = 0, at = 0; i <= count; i++) {
+      const t = time[0] + i * step;
+      while (at < last - 1 && time[at + 1] < t) at++;
+      const h = time[at + 1] - time[at];
+      all[i] = h ? values[at] + (values[at + 1] - values[at]) * Math.min((t - time[at]) / h, 1) : values[at + 1];
+    }
+    const window = all.map((_, i) => 0.5 - 0.5 * Math.cos((2 * Math.PI * i) / count)), total = window.reduce((a, b) => a + b, 0), mean = all.reduce((sum, v, i) => sum + v * window[i], 0) / total;
+    const size = 2 ** Math.ceil(Math.log2(4 * (count + 1))), re = new Float64Array(size), im = new Float64Array(size);
+    all.forEach((v, i) => { let j = 0; for (let bit = 1, k = i; bit < size; bit <<= 1, k >>= 1) j = (j << 1) | (k & 1); re[j] = (v - mean) * window[i]; });
+    for (let half = 1; half < size; half <<= 1) for (let k = 0; k < half; k++) {
+      const c = Math.cos((-Math.PI * k) / half), s = Math.sin((-Math.PI * k) / half);
+      for (let i = k; i < size; i += 2 * half) { const j = i + half, x = c * re[j] - s * im[j], y = c * im[j] + s * re[j]; re[j] = re[i] - x; im[j] = im[i] - y; re[i] += x; im[i] += y; }
+    }
+    const shown = Math.min(size / 2, Math.ceil(most * size * step));
+    return [Float64Array.from({ length: shown }, (_, i) => i / (size * step)), Float64Array.from({ length: shown }, (_, i) => (2 * Math.hypot(re[i], im[i])) / total)];
+  }
   // the instants at which segments from a time to a time begin, the same for all runs over one grid
   chosen(from, to) {
     const { time, size, grid } = this, key = `${size} ${from} ${to}`;
@@ -336,13 +392,13 @@ class Result {
   /** Those of the metrics that are among some names; all without names. */
   measure(names) {
     const { duration, rest, size } = this, { band } = this.simulation.facts, found = {};
-    const POSITION = ["end_effector.position.x", "end_effector.position.y"], { rigid } = this, off = (i, k, channel) => rigid[2 * (i * ENDS + k) + channel];
+    const { rigid } = this, off = (i, k, channel) => rigid[2 * (i * ENDS + k) + channel];
     const over = (name, m, from = 0, to = duration) => this.analysed(this.segments([name], m, from, to));
     const wanted = (name) => !names || names.has(name);
     for (const j of [1, 2]) if (wanted(`peak_torque_${j}`)) found[`peak_torque_${j}`] = over(`joint${j}.torque`, 3).peak();
     for (const j of [1, 2]) if (wanted(`peak_tip_deflection_${j}`) && this.signal(`link${j}1.tip_deflection`)) found[`peak_tip_deflection_${j}`] = over(`link${j}1.tip_deflection`, 3).peak();
     for (const j of [1, 2]) if (wanted(`rms_tracking_error_${j}`) && this.signal(`joint${j}.position`) && this.signal(`joint${j}.reference.position`)) {
-      const { time } = this, error = this.signal(`joint${j}.position`).map((q, i) => q - this.signal(`joint${j}.reference.position`)[i]);
+      const [time, error] = this.curve({ of: `joint${j}.error` });
       let sum = 0;
       for (let i = 1; i < size && time[i] <= duration + 1e-9; i++) sum += 0.5 * (time[i] - time[i - 1]) * (error[i] ** 2 + error[i - 1] ** 2);
       found[`rms_tracking_error_${j}`] = Math.sqrt(sum / duration);

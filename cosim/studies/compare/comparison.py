@@ -31,7 +31,7 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition
 from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE, Curve, Panel, thinned
-from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun, loop_tables, metrics_table, render_comparison
+from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun, comparison_page, loop_tables, metrics_table
 from flexfmu.cosim.reports.page import Plot, Table
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 
@@ -149,19 +149,34 @@ class Comparison(Rows):
         units = {row["metric"]: row["metric"].removeprefix("worst.") for row in self.rows()}
         return {row: definition(name).unit for row, name in units.items()}
 
-    def page(self) -> str:
-        """Return the page of the comparison as HTML: metrics, signals over each other, spectra."""
-        measured = [] if self.measured is None else [*_measured_plots(self.runs, self.measured)]
-        return render_comparison(self.runs, self.tables(), measured)
+    def page(self, *, live: bool = False) -> str:
+        """Return the page of the comparison as HTML: metrics, signals over each other, spectra.
 
-    def write(self, folder: str | os.PathLike[str]) -> Path:
+        Args:
+            live: whether the page simulates the runs side by side, with common sliders; it needs ziglang. Results that were read stay as
+                recorded.
+        """
+        measured = [] if self.measured is None else [*_measured_plots(self.runs, self.measured)]
+        page = comparison_page(self.runs, self.tables(), measured)
+        if live:
+            from flexfmu.cosim.exchange.live import side_by_side  # which few comparisons need
+
+            page = side_by_side(page, [(each.name, each.run) for each in self.runs])
+        return page.html
+
+    def write(self, folder: str | os.PathLike[str], *, live: bool = False) -> Path:
         """Write comparison.html and comparison.json into a folder; return its path.
+
+        Args:
+            folder: where to.
+            live: whether the page simulates, as for `page`.
 
         Raises:
             ResultsError: a file can't be written, with the system's reason.
+            MissingCompilerError: there is no ziglang, which compiles the runs for the page.
         """
         target = Path(folder)
-        write_whole(target / "comparison.html", self.page())
+        write_whole(target / "comparison.html", self.page(live=live))
         write_whole(target / "comparison.json", to_json(self.as_data()))
         return target
 

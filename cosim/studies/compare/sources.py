@@ -205,7 +205,7 @@ def _measured(run: Run) -> ComparedRun:
         metrics: Mapping[str, Metric] = measure_run(run)
     except (ResultsError, EquilibriumError):
         metrics = {}
-    return ComparedRun(run.scene.name, run.recording, metrics, run.plan.duration)
+    return ComparedRun(run.scene.name, run.recording, metrics, run.plan.duration, run=run)
 
 
 def _read(file: Path, name: str, strict: bool) -> ComparedRun:

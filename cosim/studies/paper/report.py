@@ -18,7 +18,7 @@ from flexfmu.cosim.engine.files import RESULTS, OutputFolder, to_json
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.reports.figure_style import save
-from flexfmu.cosim.reports.page import render
+from flexfmu.cosim.reports.page import Page, Table, render
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.cosim.studies.paper.figures import SIMULATED_FIGURES, TRAJECTORY_FIGURES, PaperFigure
@@ -108,16 +108,28 @@ class PaperReport:
         return render(
             "paper.html.j2",
             source={"citation": citation(), **read_data("source")},
-            summary=self.summary(),
             tables=self.tables,
             marks=marks,
             footnotes=footnotes,
             agreement=agreement,
             overview=figures.pop("overview", None),
             figures=[*figures.values()],
-            timing=self.timing,
-            versions=self.versions,
+            page=self._page(),
         )
+
+    def _page(self) -> Page:
+        """What the report has in common with other pages."""
+        found = count_agreement(self.cells)
+        tiles = {"cells compared": found["compared"]}
+        tiles |= {f"within {100.0 * float(bound):g} %": count for bound, count in found["within"].items()}
+        tiles |= {"to the printed digits": found["to_the_digits"], "misprinted, not counted": found["misprinted"]}
+        times = [[name, f"{seconds:.1f} s"] for name, seconds in self.timing.items()]
+        versions = [[name, version or "unknown"] for name, version in self.versions.items()]
+        folded = [
+            Table(title, (), rows) for title, rows in (("Wall-clock times", times), ("Versions", versions)) if rows
+        ]
+        title = "The paper's experiment, printed and computed"
+        return Page(title, self.summary(), tiles=[(name, [f"{n}"]) for name, n in tiles.items()], folded=folded)
 
     def write(self, folder: Path) -> None:
         """Write what is known: page and JSON.

@@ -21,17 +21,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.engine.files import OutputFolder, replacing, write_pieces
+from flexfmu.cosim.engine.files import OutputFolder, replacing, write_pieces, write_whole
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import Rows, cell_text, safe_cell, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.many.journal import Journal, difference
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, metric
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, metric
+from flexfmu.cosim.reports.chart import INK, PALETTE, Curve, Panel
+from flexfmu.cosim.reports.comparison import FIRST_METRICS
+from flexfmu.cosim.reports.page import Page, Plot, Table
 from flexfmu.cosim.studies.sweep.cases import Cases, short_text, text_of
 from flexfmu.cosim.studies.sweep.work import Row
+from flexfmu.model.scene.schema import Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+PLOTS, TILES = 12, 6
+"""Metrics that the page draws, and those whose extremes stand at its top."""
 
 MANIFEST, JOURNAL, TABLE, SIGNALS = "sweep.json", "journal.csv", "sweep.csv", "signals"
 """What is swept, finished cases while the sweep runs, all of them at its end, and the folder of recorded signals."""
@@ -50,6 +57,7 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
         units: key or metric → unit; empty for none.
         recordings: number of a case → recorded signals, where they are in memory.
         folder: where the results are; None where they are in memory alone.
+        scene: what was swept; None for a model from equations.
     """
 
     row_name = "case"
@@ -62,6 +70,7 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
     units: Mapping[str, str]
     recordings: Mapping[int, Recording]
     folder: Path | None = None
+    scene: Scene | None = None
 
     def __len__(self) -> int:
         return len(self.cases)
@@ -166,6 +175,96 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
             }
         return found
 
+    def table(self) -> Table:
+        """The extremes and the median of each metric, and where the extremes are."""
+        rows = [
+            [
+                ALL_METRICS[name].label if name in ALL_METRICS else "", name, shown_unit(each["unit"]), f"{each['min']:.4g}",
+                self.case_text(each["min_case"]), f"{each['median']:.4g}", f"{each['max']:.4g}", self.case_text(each["max_case"]),
+            ]
+            for name, each in self.summary().items()
+        ]  # fmt: skip
+        title = f"{self.name}: {len(self)} cases over {', '.join(self.cases.keys)}"
+        return Table(title, ["Metric", "Name", "Unit", "Smallest", "At", "Median", "Largest", "at"], rows)
+
+    def page(self, *, live: bool = False) -> str:
+        """Return the page of the sweep as HTML: extremes, and each metric over the varied keys.
+
+        Args:
+            live: whether the page simulates the scene at a point that is picked, and by sliders of the varied keys; it needs ziglang.
+
+        Raises:
+            InputError: a model from equations was swept, which has no such page.
+            MissingCompilerError: there is no ziglang, which compiles the scene for the page.
+        """
+        found, names = self.summary(), [name for name in FIRST_METRICS if name in self.metrics]
+        shown = [name for name in dict.fromkeys([*names, *self.metrics]) if name in found][:PLOTS]
+        tiles = [
+            (f"{definition(name).label}, from smallest to largest", [display(name, found[name][end], 4) for end in ("min", "max")])
+            for name in shown[:TILES]
+            if name in ALL_METRICS
+        ]  # fmt: skip
+        failed = f"{len(self.messages)} of {len(self)} cases failed, the first with {self.case_text(min(self.messages, default=0))}."
+        verdict = " ".join([*(self._span(name) for name in shown[:2]), *([failed] if self.messages else [])])
+        numbers = {
+            key: column
+            for key, column in zip(self.cases.keys, self.columns(), strict=True)
+            if all(isinstance(each, int | float) and not isinstance(each, bool) for each in column)
+        }
+        plots = [self._plot(name, numbers) for name in shown]
+        page = Page(f"{self.name}: sweep", verdict or "No case has a value.", plots, tiles=tiles, folded=[self.table()])
+        if live:
+            from flexfmu.cosim.exchange.live import swept_page  # which few sweeps need
+
+            if self.scene is None:
+                raise InputError(f"the page of {self.name} can't simulate: it is no scene")
+            spans = {key: (min(column), max(column)) for key, column in numbers.items()}
+            page = swept_page(page, self.scene, spans, shown[:TILES])
+        return page.html
+
+    def _span(self, name: str) -> str:
+        """From where to where a metric goes, in a sentence."""
+        each = self.summary()[name]
+        label = ALL_METRICS[name].label if name in ALL_METRICS else name
+        low, high = (
+            display(name, each[end], 4)
+            if name in ALL_METRICS
+            else f"{each[end]:.4g} {shown_unit(each['unit'])}".strip()
+            for end in ("min", "max")
+        )
+        where = [self.case_text(each[end]) for end in ("min_case", "max_case")]
+        return f"{label} goes from {low} ({where[0]}) to {high} ({where[1]})."
+
+    def _plot(self, name: str, numbers: Mapping[str, Sequence[float]]) -> Plot:
+        """A metric over the first key with numbers: a line for each combination of the others where these are few, otherwise points."""
+        along = next((key for key, column in numbers.items() if len({*column}) > 1), "case")
+        x = np.array(numbers.get(along, range(len(self))), dtype=float)
+        factor, unit, label = 1.0, shown_unit(self.units.get(name, "")), name
+        if name in ALL_METRICS:
+            factor, unit, label = definition(name).displayed(1.0), definition(name).display_unit, definition(name).label
+        y = factor * self.values[:, self.metrics.index(name)]
+        groups: dict[str, list[int]] = {}
+        for number in range(len(self)):
+            rest = {key: value for key, value in self.cases.changes(number).items() if key != along}
+            groups.setdefault(", ".join(f"{key}={short_text(value)}" for key, value in rest.items()), []).append(number)
+        if len(groups) > len(PALETTE):
+            groups = {"": [*range(len(self))]}
+        curves = []
+        for (text, cases), colour in zip(groups.items(), PALETTE, strict=False):
+            order = np.array(cases)[np.argsort(x[cases], kind="stable")]
+            more = {f"{key} [{shown_unit(self.units.get(key, ''))}]": np.array(numbers[key])[order] for key in numbers}
+            width = 1.4 if np.unique(x[order]).size == order.size else 0.0
+            curves.append(
+                Curve(x[order], y[order], text, colour, width, dot="disc", more=more | {f"{label} [{unit}]": y[order]})
+            )
+        source = {"metric": name, "key": along, "factor": factor}
+        curves.append(Curve(np.empty(0), np.empty(0), "", INK, 0.0, dot="cross", is_read=False, source=source))
+        panel = Panel(label=f"{label}\n[{unit}]", curves=curves, is_function=False)
+        key_unit = shown_unit(self.units.get(along, ""))
+        return Plot(
+            f"sweep-{name}", label, "A point for each case.", (panel,), f"{along} [{key_unit}]" if key_unit else along
+        )
+
     def case_text(self, number: int) -> str:
         """The values of a case, ``payload.mass=3.2, trajectory.duration=0.4``."""
         return ", ".join(f"{key}={short_text(value)}" for key, value in self.cases.changes(number).items())
@@ -249,7 +348,7 @@ class Results:
         if before is None:
             if not restart and (self._journal.path.exists() or table.exists()):
                 raise InputError(f"{folder} has a {TABLE} without {MANIFEST}: choose another --out, or --restart")
-            for name in (MANIFEST, JOURNAL, TABLE, "sweep.parquet", "sweep.png", "sweep.svg"):
+            for name in (MANIFEST, JOURNAL, TABLE, "sweep.parquet", "sweep.png", "sweep.svg", "sweep.html"):
                 (folder / name).unlink(missing_ok=True)
             for signals in (folder / SIGNALS).glob("*.csv"):
                 signals.unlink()
@@ -331,13 +430,14 @@ def _line(cells: Iterable[str]) -> str:
     return text.getvalue()
 
 
-def write_files(result: SweepResult, folder: Path, *, plot: bool) -> list[Path]:
-    """Write Parquet and picture; returns the files of the sweep.
+def write_files(result: SweepResult, folder: Path, *, plot: bool, live: bool = False) -> list[Path]:
+    """Write Parquet, picture and page; returns the files of the sweep.
 
     Args:
         result: the finished sweep.
         folder: where its table is.
-        plot: whether a picture is drawn.
+        plot: whether picture and page are drawn.
+        live: whether the page simulates.
     """
     files = [folder / TABLE]
     with contextlib.suppress(ImportError):
@@ -346,7 +446,8 @@ def write_files(result: SweepResult, folder: Path, *, plot: bool) -> list[Path]:
         from flexfmu.cosim.reports.figure_style import save
 
         save(result.plot, folder / "sweep")
-        files += [folder / "sweep.png", folder / "sweep.svg"]
+        write_whole(folder / "sweep.html", result.page(live=live))
+        files += [folder / f"sweep.{ending}" for ending in ("png", "svg", "html")]
     return files
 
 

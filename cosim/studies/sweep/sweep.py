@@ -116,7 +116,9 @@ def sweep_scene(
                     found.add(rows)
                     show(int(found.finished.sum()), len(cases))
         found.finish()
-    return SweepResult(scene.name, cases, measure.names, found.values, found.messages, units, found.recordings, folder)
+    return SweepResult(
+        scene.name, cases, measure.names, found.values, found.messages, units, found.recordings, folder, scene
+    )
 
 
 CORNER_KEYS = 3

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from flexfmu.cosim.experiment.accuracy import WorkPrecisionTrial
 from flexfmu.cosim.metrics.metric_table import definition
 from flexfmu.cosim.reports.figure_style import PlainNumbers, draw, save
-from flexfmu.cosim.reports.page import Plot, render_page
+from flexfmu.cosim.reports.page import Page, Plot
 from flexfmu.cosim.reports.work_precision import FLOOR, FRONT, by_line, diagram, fronts, points
 from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy, sentence
 
@@ -116,7 +116,7 @@ def draw_family(axes: Axes, study: WorkPrecisionStudy, name: str) -> None:
 def html(study: WorkPrecisionStudy) -> str:
     """Return the page: a diagram for each family, in which every point shows its setting, error, time and work."""
     plots = [_plot(study, name) for name in study.families]
-    return render_page(f"Work and precision: {study.scene.name}", sentence(study), plots)
+    return Page(f"Work and precision: {study.scene.name}", sentence(study), plots).html
 
 
 def _plot(study: WorkPrecisionStudy, name: str) -> Plot:

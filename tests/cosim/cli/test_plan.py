@@ -59,6 +59,19 @@ def test_the_planned_scene_the_front_and_the_page_are_written(tmp_path: Path) ->
 
 
 @pytest.mark.slow
+def test_the_planned_motion_simulates_in_its_page(tmp_path: Path) -> None:
+    """live.html has the run of the planned motion; there is no other file."""
+    pytest.importorskip("ziglang")
+    wishes = ("--limit", "off_path=0.05", "--margin", "0.002", "--live")
+    result = command("plan", SCENE, *QUICK, *wishes, "--out", str(tmp_path))
+    assert result.exit_code == 0, result.output
+    assert {path.name for path in tmp_path.iterdir()} >= {"plan.html", "live.html"}
+    page = (tmp_path / "live.html").read_text(encoding="utf-8")
+    assert '<section id="live"' in page
+    assert len(page) < 1_000_000
+
+
+@pytest.mark.slow
 def test_ctrl_c_writes_the_best_so_far(tmp_path: Path) -> None:
     """The motion found until then is printed and written."""
     result = command("plan", SCENE, *QUICK, "--seed", "1", "--out", str(tmp_path))

@@ -14,8 +14,10 @@ import numpy as np
 import pytest
 
 import flexfmu
-from flexfmu.cosim.exchange.live import live_run
+from flexfmu.cosim.exchange.live import live_run, simulating
 from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.prepared_scene import PreparedScene
+from flexfmu.cosim.metrics.metric_table import definition
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -29,7 +31,7 @@ LARGEST_PAGE, LARGEST_PACKED = 1_000_000, 700_000
 SCRIPT = """
 const { readFileSync } = await import("node:fs"), vm = await import("node:vm");
 vm.runInThisContext(readFileSync(process.argv[2], "utf8"));
-const simulation = await Simulation.load(readFileSync(process.argv[3], "utf8")), asked = JSON.parse(process.argv[4]);
+const { simulations: [simulation] } = await Simulation.load(readFileSync(process.argv[3], "utf8")), asked = JSON.parse(process.argv[4]);
 const bytes = (values) => Buffer.from(Float64Array.from(values).buffer).toString("base64");
 const found = asked.map((options) => {
   const run = simulation.run(options), signals = {};
@@ -68,8 +70,9 @@ def simulated(run: Run, folder: Path, *asked: dict[str, Any]) -> list[dict[str, 
     node = pytest.importorskip("playwright._impl._driver").compute_driver_executable()[0]
     live = live_run(run)
     assert live.reason == ""
-    assert len(live.packed()) < LARGEST_PACKED
-    for name, text in (("run.mjs", SCRIPT), ("packed", live.packed())):
+    packed = simulating([("", live)]).packed
+    assert len(packed) < LARGEST_PACKED
+    for name, text in (("run.mjs", SCRIPT), ("packed", packed)):
         (folder / name).write_text(text)
     simulation = files("flexfmu.cosim.reports") / "templates" / "simulation.js"
     command = [node, folder / "run.mjs", str(simulation), folder / "packed", json.dumps(asked)]
@@ -130,7 +133,7 @@ def test_what_stays_as_recorded_is_said(monkeypatch: pytest.MonkeyPatch) -> None
     springs = importlib.import_module("custom_controller").SpringsAndDampers(1e4, 100.0)
     scene = load_scene("barnard2012-6kg").replace({"effects.motor_inertia": 0.1})
     run = flexfmu.run(scene, controllers=[springs])
-    assert "it has no C of springs (SpringsAndDampers). All is as recorded." in run.live().html
+    assert "there is no C of springs (SpringsAndDampers). All is as recorded." in run.live().html
     run = flexfmu.run(scene.replace({"cosimulation.step_control": {"tolerance": 1e-4}}))
     assert live_run(run).reason == "its communication steps are controlled"
 
@@ -150,7 +153,10 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
     shown = page.evaluate("Array.from(page.live.usual.signal('joint1.torque', 1))")
     np.testing.assert_array_equal(shown, run.recording["joint1.torque"].first)
     # a slider
-    tile, before = page.locator("[data-metric=peak_torque_1]"), page.locator("[data-metric=peak_torque_1]").inner_text()
+    tile, before = (
+        page.locator(".tile [data-metric=peak_torque_1]"),
+        page.locator(".tile [data-metric=peak_torque_1]").inner_text(),
+    )
     slider = page.get_by_label("payload.mass")
     slider.fill("-0.4")
     page.wait_for_timeout(800.0)
@@ -179,6 +185,108 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
     page.close()
 
 
+def opened(browser: Any, path: Path, scheme: str = "light") -> tuple[Any, list[str]]:
+    """A page that is ready, and what it tells on the console, where axe finds nothing at either width."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe
+    assert path.stat().st_size < LARGEST_PAGE
+    page, problems = browser.new_context(color_scheme=scheme, bypass_csp=True).new_page(), list[str]()
+    page.on("console", lambda message: problems.append(message.text))
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.goto(f"file://{path}")
+    page.locator("#live.ready").wait_for()
+    for width in (390, 1400):
+        page.set_viewport_size({"width": width, "height": 900})
+        page.wait_for_timeout(100.0)
+        assert page.evaluate("document.documentElement.scrollWidth") == width
+        found = axe().run(page).response["violations"]
+        assert [(each["id"], each["nodes"][0]["html"][:200]) for each in found] == []
+    return page, problems
+
+
+def number(text: str) -> float:
+    """The first number of a text."""
+    return float(text.split()[0].replace("−", "-"))
+
+
+def test_a_shaper_is_switched_on(browser: Any, tmp_path: Path) -> None:
+    """The run with the usual shaper, which the page has beside the scene's own; as a command and as a scene that gives the same."""
+    path = flexfmu.run("barnard2012-6kg").live_report(tmp_path / "x.html")
+    page, problems = opened(browser, path)
+    page.get_by_label("input shaper").select_option("ZV shaper")
+    page.get_by_label("payload.mass").fill("-0.4")
+    page.wait_for_timeout(800.0)
+    page.get_by_role("button", name="copy as command").click()
+    assert page.locator(".command").inner_text().endswith("--set 'shaper=[{ kind = \"zv\" }]'")
+    page.get_by_role("button", name="copy as scene").click()
+    (tmp_path / "scene.toml").write_text(page.locator(".command").inner_text())
+    scene = load_scene(tmp_path / "scene.toml")
+    assert scene.shaper[0].kind == "zv"
+    # the shaper doesn't know the payload
+    shaped = PreparedScene(load_scene("barnard2012-6kg").replace({"shaper": [{"kind": "zv"}]}))
+    expected = measure_run(shaped.run({"payload.mass": scene.payload.mass}), 0)
+    for name in ("peak_torque_1", "residual_vibration_amplitude"):
+        shown = page.locator(f".tile [data-metric={name}]").inner_text()
+        factor = definition(name).displayed(1.0)
+        assert number(shown) == pytest.approx(factor * (expected[name].value or 0.0), rel=1e-4)
+    assert problems == []
+    page.context.close()
+
+
+def test_runs_side_by_side_have_common_sliders(browser: Any, tmp_path: Path) -> None:
+    """A payload of 0.64 times its own in two scenes of three; results that were read stay as recorded, and the page says so."""
+    scene = load_scene("barnard2012-6kg")
+    light, old = scene.replace({"name": "light", "payload.mass": 4.0}), tmp_path / "old"
+    old.mkdir()
+    flexfmu.run(scene).write(old / "results.csv")
+    flexfmu.compare(scene, light, old).write(tmp_path, live=True)
+    page, problems = opened(browser, tmp_path / "comparison.html", "dark")
+    assert "This page can't simulate old: only its results are known." in page.locator(".hero").inner_text()
+    slider = page.get_by_label("payload.mass")
+    slider.fill("-0.4")
+    page.wait_for_timeout(500.0)
+    ratio = float(page.url.partition("#payload.mass=")[2]) / 6.0
+    cells = page.locator("td [data-metric=peak_torque_1]").all_inner_texts()
+    for cell, each in zip(cells, (scene, light), strict=False):
+        changed = each.replace({"payload.mass": ratio * each.payload.mass})
+        assert number(cell) == pytest.approx(measure_run(flexfmu.run(changed), 0)["peak_torque_1"].value, rel=1e-4)
+    assert number(cells[1].partition("(")[2]) == pytest.approx(
+        100.0 * (number(cells[1]) / number(cells[0]) - 1.0), rel=1e-2
+    )
+    assert problems == []
+    page.context.close()
+
+
+def test_a_sweep_simulates_the_point_that_is_picked(browser: Any, tmp_path: Path) -> None:
+    """Its case's own values, and those between cases; what no slider changes is said."""
+    scene = load_scene("barnard2012-6kg")
+    keys = {"payload.mass": [2.0, 4.0, 6.0], "trajectory.duration": [0.4, 0.43], "trajectory.dwell": [0.2, 0.25]}
+    result = flexfmu.sweep(scene, keys, processes=1)
+    (tmp_path / "sweep.html").write_text(result.page(live=True))
+    page, problems = opened(browser, tmp_path / "sweep.html")
+    assert "other values of trajectory.dwell, which stay as in the scene" in page.locator(".hero").inner_text()
+    figure = page.locator("figure", has=page.locator("h3", has_text="Peak torque, joint 1"))
+    figure.scroll_into_view_if_needed()
+    page.wait_for_timeout(500.0)
+    # the first point of the first line
+    place = """() => { const { plot, curves } = page.charts.find(each => each.key === 'sweep-peak_torque_1').panels[0];
+      return [plot.valToPos(curves[0].x[0], 'x'), plot.valToPos(curves[0].y[0], 'y')]; }"""
+    left, top = page.evaluate(place)
+    figure.locator(".u-over").hover(position={"x": left, "y": top})
+    figure.locator(".u-over").click(position={"x": left, "y": top})
+    page.wait_for_timeout(800.0)
+    assert page.url.endswith("#payload.mass=2&duration=0.4")
+    tile = page.locator(".tile [data-metric=peak_torque_1]")
+    assert number(tile.inner_text()) == pytest.approx(result[0]["peak_torque_1"], rel=1e-4)
+    now = "page.charts.find(each => each.key === 'sweep-peak_torque_1').panels[0].curves.at(-1)"
+    assert page.evaluate(f"[{now}.x[0], {now}.y[0]]") == pytest.approx([2.0, result[0]["peak_torque_1"]], rel=1e-6)
+    page.get_by_label("payload.mass").fill("0.5")
+    page.wait_for_timeout(500.0)
+    expected = measure_run(flexfmu.run(scene.replace({"payload.mass": 5.0, "trajectory.duration": 0.4})), 0)
+    assert number(tile.inner_text()) == pytest.approx(expected["peak_torque_1"].value, rel=1e-4)
+    assert problems == []
+    page.context.close()
+
+
 def test_a_notebook_s_page_is_accessible(browser: Any, tmp_path: Path) -> None:
     """It simulates within a frame, without errors; in the page itself axe finds nothing."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe
@@ -191,7 +299,7 @@ def test_a_notebook_s_page_is_accessible(browser: Any, tmp_path: Path) -> None:
     page.goto(f"file://{tmp_path / 'notebook.html'}")
     frame = page.frame_locator("iframe")
     frame.locator("#live.ready").wait_for()
-    tile = frame.locator("[data-metric=peak_torque_1]")
+    tile = frame.locator(".tile [data-metric=peak_torque_1]")
     before = tile.inner_text()
     frame.get_by_label("payload.mass").fill("-0.4")
     page.wait_for_timeout(800.0)

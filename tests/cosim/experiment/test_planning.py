@@ -17,7 +17,7 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import plan, plan_own, shape_joints, shape_path
 from flexfmu.cosim.metrics.metrics import measure_run, metrics_of
 from flexfmu.cosim.reports.modes_table import modes_along_path
-from flexfmu.cosim.reports.report import render_report
+from flexfmu.cosim.reports.report import report_page
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -79,7 +79,7 @@ def test_summary_and_report_name_the_motion() -> None:
     assert summary["motion"] == "own motion Line"
     keys = {"kind", "start", "duration", "dwell", "way_back", "cycles", "pause"}
     assert summary["scene"]["trajectory"].keys() == keys
-    assert "Own motion Line in 0.4 s, then a dwell of 0.05 s" in render_report(summary, ())
+    assert "Own motion Line in 0.4 s, then a dwell of 0.05 s" in report_page(summary, ()).html
 
 
 def test_cycles_and_shapers_apply() -> None:

@@ -16,7 +16,7 @@ from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.many.variants import run_variants
 from flexfmu.cosim.metrics.metrics import measure_run, measuring, metrics_of
-from flexfmu.cosim.reports.report import render_report
+from flexfmu.cosim.reports.report import report_page
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
@@ -84,7 +84,7 @@ def test_summary_and_report_tell_of_the_cycles(cycles: flexfmu.Run) -> None:
     summary = summarise(cycles, measure_run(cycles, 0))
     assert summary["cycles"] == {"number": 2, "period": pytest.approx(0.7), "motion": 0.3}
     assert "learning" not in summary
-    assert "there and back 2 times with pauses of 0.05 s" in render_report(summary, ())
+    assert "there and back 2 times with pauses of 0.05 s" in report_page(summary, ()).html
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.reports.comparison import ComparedRun
 from flexfmu.cosim.reports.plots import bent_robot, draw_plots
-from flexfmu.cosim.reports.report import render_report
+from flexfmu.cosim.reports.report import report_page
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.cosim.studies.compare.comparison import compare_runs
 from flexfmu.cosim.studies.paper.report import PaperReport
@@ -45,7 +45,7 @@ def folder(run: Run, make_run: MakeRun, tmp_path_factory: pytest.TempPathFactory
 
     def report(of: Run) -> str:
         rest = settings_for(of).end_equilibrium if of.completed else None
-        return render_report(summarise(of, measure_run(of)), draw_plots(of, rest))
+        return report_page(summarise(of, measure_run(of)), draw_plots(of, rest)).html
 
     trials = [
         WorkPrecisionTrial("tools", f"method {line}", f"{error:g}", error, 1e-3 * (line + 1) * error**-0.2)

@@ -24,7 +24,7 @@ from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.cosim.reports.chart import unpacked
 from flexfmu.cosim.reports.plots import LONGEST, _to_scale, bent_robot, draw_plots, path_panel
-from flexfmu.cosim.reports.report import render_report
+from flexfmu.cosim.reports.report import report_page
 from flexfmu.cosim.reports.summary import describe_effects, summarise
 from flexfmu.model.beams import scene_shapes
 from flexfmu.model.scene.assembly import bases, elbows
@@ -52,7 +52,7 @@ def report_of(run: Run) -> str:
     """The report of a run."""
     settings = settings_for(run) if run.completed else None
     plots = draw_plots(run, None if settings is None else settings.end_equilibrium)
-    return render_report(summarise(run, measure_run(run)), plots)
+    return report_page(summarise(run, measure_run(run)), plots).html
 
 
 def test_a_report_shows_what_accuracy_costs(make_run: MakeRun) -> None:
@@ -221,7 +221,7 @@ def test_report_escapes_what_it_shows(make_run: MakeRun) -> None:
     run = make_run()
     summary = summarise(run, dict.fromkeys(COMMON_METRICS, Metric(None)))
     summary["health"]["messages"] = ["<b>solver & state</b>"]
-    assert "&lt;b&gt;solver &amp; state&lt;/b&gt;" in render_report(summary, [])
+    assert "&lt;b&gt;solver &amp; state&lt;/b&gt;" in report_page(summary, []).html
 
 
 def still(run: Run, extra: dict[str, Column] | None = None) -> Run:

@@ -142,7 +142,7 @@ def test_infinite_margins_keep_limits_and_are_null_in_json(tmp_path: Path, monke
     result = tune_study(wish, trials=30, journal=trial_journal(tmp_path, wish))
     assert result.is_feasible
     assert summary(result)["conditions"][0]["tuned"] is None
-    assert len(write_tuning(result, tmp_path)) == 2
+    assert len(write_tuning(result, tmp_path)) == 3
     known = trial_journal(tmp_path, wish)
     assert all(known.kept(each.values, Trial, pytest.fail) == each for each in result.trials)
 
