@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import lru_cache
+from functools import lru_cache, reduce
 from itertools import groupby
 
 import casadi
@@ -44,8 +44,15 @@ motions that are only compared: the last change is an order of magnitude smaller
 ITERATIONS = 30
 """Largest number of Newton steps, of a motion or to a static equilibrium; three are usual for the latter."""
 
-RENEWED = 0.1
-"""The matrices are renewed where a change is larger than this fraction of the one before."""
+RENEWED, CONTRACTS = 10, 0.5
+"""The matrices are renewed where more iterations than this are left at the rate of the last one, since a renewal takes as long as these,
+or where a change is larger than this share of the one before."""
+
+SHARED = 4
+"""Steps of a fleet that share a matrix: a fourth of the time for a renewal, and two or three iterations more."""
+
+TOGETHER = 3
+"""Variants of a fleet that are solved together: as many as processor caches hold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +85,7 @@ class ElasticResponse:
         steps: number of equal steps of the integration.
         evaluate: makes functions that are evaluated at many points at once, by numpy or compiled.
         accuracy: change of an elastic coordinate [m or rad] below which Newton's method ends.
+        shared: number of steps, a divisor of all, that share a matrix of Newton's method where no derivatives are wanted.
 
     Raises:
         SceneError: a parameter doesn't exist.
@@ -92,9 +100,10 @@ class ElasticResponse:
         steps: int,
         evaluate: Evaluate = Vectorised,
         accuracy: float = CONVERGED,
+        shared: int = 1,
     ) -> None:
         self.model = VariantModel(scene, variants, evaluate)
-        self.steps, self._accuracy = steps, accuracy
+        self.steps, self._accuracy, self._shared = steps, accuracy, shared
         self.fractions = ((np.arange(steps)[:, np.newaxis] + METHOD.nodes) / steps).ravel()
         self._start = self.model.rest(start).elastic
         # stage values z and the matrices from which the next solution starts
@@ -130,7 +139,7 @@ class ElasticResponse:
             by, matrices = np.empty((len(references), 6, 0)), None
             values = self._values(z, references, duration)
         else:
-            matrices = self._renewed(z, references, duration)
+            matrices = self._renewed(z, references, duration, 1)
             values = matrices.values
         n = self.model.n
         q_end, rate_end = (each[:, -1] for each in self._integrated(z))
@@ -152,7 +161,7 @@ class ElasticResponse:
     def _solved(self, references: RealArray, duration: float) -> RealArray:
         """Stage values z (P, N, n) that satisfy the equations of motion, by Newton's method with kept matrices."""
         z, before, n = self._guess, math.inf, self.model.n
-        matrices = self._matrices or self._renewed(z, references, duration)
+        matrices = self._matrices or self._renewed(z, references, duration, self._shared)
         for _ in range(ITERATIONS):
             change = matrices.solved(self._values(z, references, duration)[..., :n])
             size = float(np.abs(self._integrated(change, 0.0)[0]).max(initial=0.0))
@@ -162,8 +171,9 @@ class ElasticResponse:
                 return z
             if not np.isfinite(size) or size > 1.0:
                 break
-            if size > (RENEWED if self._accuracy == CONVERGED else 3.0 * RENEWED) * before:
-                matrices = self._renewed(z, references, duration)
+            rate = size / before
+            if rate > CONTRACTS or rate**RENEWED * size > self._accuracy:
+                matrices = self._renewed(z, references, duration, self._shared)
             before = size
         # the next motion starts anew
         self._guess, self._matrices = np.zeros_like(z), None
@@ -188,10 +198,12 @@ class ElasticResponse:
         q, rate = self._integrated(z)
         return self.model.values(q, rate / duration, z / duration**2, references)
 
-    def _renewed(self, z: RealArray, references: RealArray, duration: float) -> _Matrices:
+    def _renewed(self, z: RealArray, references: RealArray, duration: float, shared: int) -> _Matrices:
         q, rate = self._integrated(z)
-        v, a = rate / duration, z / duration**2
-        values, jacobian = self.model.linearised(q, v, a, references)
+        # the step in the middle of those that share a matrix
+        some = np.arange(3 * self.steps).reshape(-1, shared, 3)[:, shared // 2].ravel()
+        q, v, a = q[:, some], rate[:, some] / duration, z[:, some] / duration**2
+        values, jacobian = self.model.linearised(q, v, a, references[some])
         self._matrices = _Matrices(values, jacobian, v, a, duration, self.steps)
         return self._matrices
 
@@ -203,14 +215,15 @@ class _Matrices:
         values, jacobian: [forces, torques, position] (P, N, n + 4) and their derivatives by [q, v, a, u], (P, N, n + 4, 3 n + 6).
         v, a: elastic rates and accelerations at the stages (P, N, n).
         duration: T [s].
-        steps: number of steps.
+        steps: number of steps; if they are more than N / 3, as many follow each other with the same equations.
     """
 
     def __init__(
         self, values: RealArray, jacobian: RealArray, v: RealArray, a: RealArray, duration: float, steps: int
     ) -> None:
         self.values, self._duration = values, duration
-        (count, _, n), h = v.shape, 1.0 / steps
+        (count, stages, n), h = v.shape, 1.0 / steps
+        self._steps, steps = steps, stages // 3
         self._shape = (count, steps, 3, n)
         by_stage = jacobian.reshape(count, steps, 3, n + 4, 3 * n + 6)
         by_q, by_v, by_a = (by_stage[..., i * n : (i + 1) * n] / duration**i for i in range(3))
@@ -233,9 +246,13 @@ class _Matrices:
 
     def solved(self, loads: RealArray) -> RealArray:
         """z (P, N, n) under loads on the stages of the same shape, from rest."""
-        right = loads.reshape(*self._shape[:2], -1, 1)
-        states = self._states(self._next @ right)
-        return np.asarray(self._inverse @ (right - self._of_state @ states[:, :-1])).reshape(loads.shape)
+        count, steps, _, n = self._shape
+        # steps with the same matrices as columns
+        shared = self._steps // steps
+        right = loads.reshape(count, steps, shared, 3 * n).swapaxes(2, 3)
+        states = self._states((self._next @ right).swapaxes(2, 3).reshape(count, self._steps, 2 * n, 1))
+        states = states[:, :-1].reshape(count, steps, shared, 2 * n).swapaxes(2, 3)
+        return (self._inverse @ (right - self._of_state @ states)).swapaxes(2, 3).reshape(loads.shape)
 
     def derivatives(self, by: RealArray, rate: RealArray, by_duration: bool) -> tuple[RealArray, RealArray]:
         """Derivatives of [torques, position] (P, N, 4, m) and of the end state (P, 2, n, m).
@@ -269,17 +286,17 @@ class _Matrices:
 
     def transfer(self) -> RealArray:
         """The last state by the first, (P, 2 n, 2 n)."""
-        found = self._transition[:, 0]
-        for k in range(1, self._transition.shape[1]):
-            found = self._transition[:, k] @ found
-        return np.asarray(found)
+        shared = self._steps // self._transition.shape[1]
+        found = np.linalg.matrix_power(self._transition, shared)
+        return reduce(lambda before, k: found[:, k] @ before, range(1, found.shape[1]), found[:, 0])
 
     def _states(self, loads: RealArray) -> RealArray:
         """States (P, steps + 1, 2 n, r) from rest, with additions (P, steps, 2 n, r) in each step."""
         count, steps, size, columns = loads.shape
         states = np.zeros((count, steps + 1, size, columns))
+        shared = steps // self._transition.shape[1]
         for k in range(steps):
-            states[:, k + 1] = self._transition[:, k] @ states[:, k] + loads[:, k]
+            states[:, k + 1] = self._transition[:, k // shared] @ states[:, k] + loads[:, k]
         return states
 
 
@@ -295,9 +312,18 @@ class FleetResponse:
     """
 
     def __init__(self, robots: Sequence[RobotVariant], start: RealArray, steps: int) -> None:
-        groups = [[*group] for _, group in groupby(robots, key=lambda each: id(each.scene))]
+        scenes = [[*group] for _, group in groupby(robots, key=lambda each: id(each.scene))]
+        groups = [group[k : k + TOGETHER] for group in scenes for k in range(0, len(group), TOGETHER)]
         self.parts = [
-            ElasticResponse(group[0].scene, [each.changes for each in group], start, steps, group[0].evaluate, NEARLY)
+            ElasticResponse(
+                group[0].scene,
+                [each.changes for each in group],
+                start,
+                steps,
+                group[0].evaluate,
+                NEARLY,
+                math.gcd(steps, SHARED),
+            )
             for group in groups
         ]
         self.fractions = self.parts[0].fractions
@@ -474,6 +500,7 @@ class _Functions:
         n: number of elastic coordinates.
         values: [forces, torques, position] by [q], [v], [a], [q_a, v_a, a_a] and the derived parameters.
         linear: the same, and their derivatives by all but the parameters.
+        derive: derived parameters of the parameters.
     """
 
     scene: Scene
@@ -481,16 +508,16 @@ class _Functions:
     n: int
     values: PointFunction
     linear: PointFunction
+    derive: casadi.Function
 
     def parameters(self, variants: Sequence[Mapping[str, float]]) -> RealArray:
         """Derived values of the variants' parameters (P, n_derived)."""
         registry = self.five_bar.registry
-        derive = casadi.Function("derive", [registry.p], [registry.resolved()])
         start = {variable.name: float(variable.start or 0.0) for variable in registry.variables}
         for variant in variants:
             for key in variant.keys() - start.keys():
                 raise SceneError(f"scene {self.scene.name} has no parameter `{key}`; it has {', '.join(start)}")
-        return np.array([derive(list((start | dict(variant)).values())).full().ravel() for variant in variants])
+        return np.array([self.derive(list((start | dict(variant)).values())).full().ravel() for variant in variants])
 
 
 @lru_cache(maxsize=8)
@@ -502,4 +529,5 @@ def _functions(scene: Scene, evaluate: Evaluate) -> _Functions:
     jacobian = casadi.densify(casadi.jacobian(results, casadi.vertcat(*arguments)))
     values = casadi.Function("values", [*arguments, parameters], [casadi.cse(results)])
     linear = casadi.Function("linear", [*arguments, parameters], casadi.cse([results, jacobian]))
-    return _Functions(scene, five_bar, motion.q_e.numel(), evaluate(values), evaluate(linear))
+    derive = casadi.Function("derive", [five_bar.registry.p], [five_bar.registry.resolved()])
+    return _Functions(scene, five_bar, motion.q_e.numel(), evaluate(values), evaluate(linear), derive)

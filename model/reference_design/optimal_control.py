@@ -191,12 +191,12 @@ class MotorLoads:
 
 @dataclass(frozen=True, eq=False)
 class Inequalities:
-    """Inequalities at a motion: values g (R,), indices of their groups (R,), derivatives (R, m), and which can decide (R,)."""
+    """Inequalities at a motion: those that can decide, of all (N,), with values g (R,), indices of their groups (R,), derivatives (R, m)."""
 
+    deciding: NDArray[np.bool_]
     values: RealArray
     groups: NDArray[np.intp]
     jacobian: RealArray
-    deciding: NDArray[np.bool_]
 
 
 class LimitRows:
@@ -227,6 +227,7 @@ class LimitRows:
 
     def rows(self, motion: DesignedMotion, response: Response) -> Inequalities:
         """The inequalities with derivatives."""
+        deciding = [_deciding(name, each) for name, each in self._parts(motion, response)]
         conditions_by, found = motion.conditions()[1], list[RealArray]()
         m = conditions_by.shape[1]
         rates = motion.rates(self._fractions), motion.rates_by(self._fractions), self._largest
@@ -234,12 +235,14 @@ class LimitRows:
             found.append((np.sign(each)[..., np.newaxis] * rates_by / largest).reshape(-1, m))
         found.append(conditions_by)
         by = self._motors.derivatives(self._units, motion, response)
-        for name, each in self.loads(motion, response).items():
-            found.append(((np.sign(each) / self._units[name])[..., np.newaxis] * by[name]).reshape(-1, m))
-        gradient = self.limits.distances(response.position)[1]
-        found.append((-np.einsum("kpnj,pnjm->kpnm", gradient, response.position_by) / DEPTH).reshape(-1, m))
-        deciding = [_deciding(name, each).ravel() for name, each in self._parts(motion, response)]
-        return Inequalities(*self.values(motion, response), np.concatenate(found), np.concatenate(deciding))
+        for (name, each), some in zip(self.loads(motion, response).items(), deciding[4:], strict=False):
+            found.append((np.sign(each) / self._units[name])[some][:, np.newaxis] * by[name][some])
+        some, gradient = deciding[-1], self.limits.distances(response.position)[1]
+        _, variant, instant = np.nonzero(some)
+        found.append(-np.einsum("rj,rjm->rm", gradient[some], response.position_by[variant, instant]) / DEPTH)
+        which = np.concatenate([each.ravel() for each in deciding])
+        values, groups = self.values(motion, response)
+        return Inequalities(which, values[which], groups[which], np.concatenate(found))
 
     def curvature(
         self, motion: DesignedMotion, response: Response, prices: RealArray, of_cycle: Mapping[str, RealArray]
@@ -737,9 +740,9 @@ class Stage:
         """The linearised limits with their values after a step."""
         rows = []
         for way, motion, response, each in zip(self.ways, state.motions, state.responses, linear.rows, strict=True):
-            values, groups = way.rows.values(motion, response)
-            values = values - each.jacobian @ step[way.columns]
-            rows.append(Inequalities(values, groups, each.jacobian, each.deciding))
+            values, _ = way.rows.values(motion, response)
+            values = values[each.deciding] - each.jacobian @ step[way.columns]
+            rows.append(replace(each, values=values))
         loads = np.concatenate([np.zeros(0), *(each.ravel() - 1.0 for each in state.loads.values())])
         return replace(
             linear,
@@ -754,10 +757,7 @@ class Stage:
         The multipliers of the rows are kept: they weigh the curvature of the next programme.
         """
         m, slacks = len(self._scale), len(GROUPS)
-        near = [
-            np.flatnonzero(each.deciding & (each.values > np.where(each.groups == CLEARANCE, -FAR, -NEAR)))
-            for each in linear.rows
-        ]
+        near = [np.flatnonzero(each.values > np.where(each.groups == CLEARANCE, -FAR, -NEAR)) for each in linear.rows]
         sizes = [each.shape[0] * each.shape[2] for each in linear.amplitudes]
         size = m + slacks + sum(sizes)
         blocks, right = list[RealArray](), list[RealArray]()
@@ -809,9 +809,9 @@ class Stage:
         )
         x = unit * x
         parts = np.split(prices, np.cumsum([*map(len, near), len(linear.loads)]))
-        of_rows = [np.zeros(len(rows.values)) for rows in linear.rows]
-        for each, some, found in zip(of_rows, near, parts, strict=False):
-            each[some] = found
+        of_rows = [np.zeros(len(rows.deciding)) for rows in linear.rows]
+        for each, rows, some, found in zip(of_rows, linear.rows, near, parts, strict=False):
+            each[np.flatnonzero(rows.deciding)[some]] = found
         self._prices = of_rows, parts[len(near)]
         return x[:m], float(cost @ x) + 0.5 * float(x[:m] @ linear.curvature @ x[:m])
 
@@ -871,7 +871,7 @@ class Stage:
         return blocks[0] if len(blocks) == 1 else np.asarray(block_diag(*blocks))
 
 
-LOOSE, FALL = 2e-5, 4.0
+LOOSE, FALL = 2e-5, 12.0
 """Bound of the residual vibration [m] in the first stages, and about how much it falls from each to the next."""
 
 NODES = 9

@@ -31,6 +31,10 @@ COMPILED_FROM = 200
 The virtual machine takes 2.5 ns for an operation, compiled C a tenth of that, and a compiler some 0.2 s: for smaller blocks it
 would take more than a million samples to pay. The rigid inverse dynamics of a five-bar have 240 operations or more."""
 
+PLAIN_FROM = 5000
+"""Functions at points of at least this many operations are compiled without optimisation: the compiler takes a fifth of the time, and the
+function two or three times as long."""
+
 EXPORTED_FLAGS = (*GENERATED_FLAGS, "-DGCC_HASCLASSVISIBILITY")
 """Compiler flags of an FMU's generated code, so that both round alike; the macro makes CasADi export its functions."""
 
@@ -138,7 +142,10 @@ class CompiledAtPoints:
             integers=function.sz_iw() + 1,
             numbers=function.sz_w() + 1,
         )
-        self._call: Any = CDLL(str(library(name, code + loop, flags=(*EXPORTED_FLAGS, "-O1"))))[f"{name}_at_points"]
+        text, beside, level = code + loop, tuple[tuple[str, str], ...](), "-O1"
+        if function.n_instructions() >= PLAIN_FROM:
+            text, beside, level = _ROOT + text, (("root.c", _ROOT_FILE),), "-O0"
+        self._call: Any = CDLL(str(library(name, text, beside, flags=(*EXPORTED_FLAGS, level))))[f"{name}_at_points"]
 
     def __call__(self, arguments: Sequence[RealArray]) -> list[RealArray]:
         """Results (N, size) for arguments (N, size), one row for each point."""
@@ -163,6 +170,10 @@ CASADI_SYMBOL_EXPORT void {name}_at_points(long count, const casadi_real *const 
 }}
 """
 """Calls a generated function at one point after the other, whose arguments and results lie in rows."""
+
+_ROOT = "#include <math.h>\ndouble root(double x);\n#define sqrt root\n"
+_ROOT_FILE = "#include <math.h>\ndouble root(double x) { return sqrt(x); }\n"
+"""Without optimisation compilers call the square root of the C library, which isn't linked."""
 
 
 def _generated(*functions: casadi.Function) -> str:

@@ -42,13 +42,13 @@ INTERVALS = 48
 PAYLOADS = 25, 13
 """Payloads of the band for which the limits hold: in the scene's model, and in the fuller one."""
 
-FULLER_NODES = 4
-"""Payloads that the programmes have of the fuller model."""
+FULLER_NODES, FEW = 4, 7
+"""Payloads that the programmes have of the fuller model, and those of the scene's model for the first motion."""
 
-GIVEN_STEPS = 300
-"""Steps of the integration for the given motion's torques."""
+GIVEN_STEPS, GIVEN_SHARED = 300, 6
+"""Steps of the integration for the given motion's torques, and how many share a matrix."""
 
-STARTS = (0.5, 0.65, 0.8)
+STARTS = (0.65, 0.5, 0.8)
 """Durations of the first motions where it is free, relative to the given one: the next serves where the one before finds nothing."""
 
 RESERVE = 0.9995, 0.8, 0.9
@@ -57,12 +57,15 @@ RESERVE = 0.9995, 0.8, 0.9
 NEARLY = 0.03
 """Violation of the limits up to which a motion is given to the FMU to judge; beyond it the next start is tried."""
 
-TRIES, SURE, SLOWER = 4, 1.02, 1.05
+TRIES, SURE, SLOWER = 5, 1.02, 1.05
 """Motions that are judged from one start, at most, the factor on what one exceeds limits by, and that on its time for the next
 start, if it exceeds one by more: a slower one has room to reach the limits."""
 
 ACTIVE, FULL, FULL_RESIDUAL = 0.98, 0.999, 0.9
 """Share of a limit from which on it is active, and shares of limits and of the residual vibration that motions may use."""
+
+OPTIMISTIC = 0.6
+"""Share of its limit to which the bound of the residual vibration is loosened after the first motion: it bounds the sum of all modes."""
 
 RETURN = 1e-6
 """Distance from start to end [m] below which a motion returns."""
@@ -101,7 +104,7 @@ def optimal(
     """
     if np.hypot(*(goals.trace[-1] - goals.trace[0])) < RETURN:
         raise InputError("optimal control plans a motion from one place to another, and this one ends where it starts")
-    motions, nodes = _ways(goals)
+    motions, nodes, few = _ways(goals)
     tight_ways, loads = limited(goals, found[0], motions)
     attempt, judge = partial(_attempt, goals, nodes, show, journal), Judge(goals, PAYLOADS[0], journal)
 
@@ -112,7 +115,7 @@ def optimal(
 
     for share in _shares(goals, found[0]):
         ways = _from_share(tight_ways, share)
-        tried = yield from refined(judge, attempt, made, ways, loads, optimal_control.LOOSE, ("optimal", share))
+        tried = yield from refined(judge, attempt, made, ways, loads, optimal_control.LOOSE, ("optimal", share), few)
         if tried:
             break
     if goals.wishes.front:
@@ -127,6 +130,7 @@ def refined(
     loads: Mapping[str, RealArray],
     loose: float,
     key: tuple[Any, ...],
+    few: NDArray[np.intp] | None = None,
 ) -> Generator[Candidate, None, bool]:
     """Motions from one start on, each with limits corrected by what the FMU finds; whether there are any.
 
@@ -138,19 +142,27 @@ def refined(
         loads: limits of loads of the cycle.
         loose: first bound of the residual vibration [m].
         key: begins the keys of the journal.
+        few: cases of the first motions; None for all.
     """
     is_first, is_free = True, judge.goals.wishes.duration is None
     for number in range(TRIES):
-        motions = attempt((*key, number), ways, loads, loose)
+        if few is None or number:
+            motions = attempt((*key, number), ways, loads, loose)
+        else:
+            some = {name: each[few] for name, each in loads.items()}
+            motions = attempt((*key, number), [way.of_cases(few) for way in ways], some, loose)
         if motions is None:
-            return number > 0
+            return number > (few is not None)
         candidate = made(motions)
         yield candidate
         judged = judge.assess(candidate)
         excess = excesses(judged)
-        if judged.feasible:
+        if few is not None and number == 0:
+            excess = {**reserves(judged), **excess, "residual": OPTIMISTIC}
+        elif judged.feasible:
             # what it leaves of the limits is given back once
-            excess, is_first = reserves(judged) if is_first and is_free else {}, False
+            left = reserves(judged) if is_first and is_free else {}
+            excess, is_first = left if min(left.values(), default=1.0) < FULL_RESIDUAL else {}, False
         if not excess:
             break
         # what the FMU finds beyond the limits is taken off them, from this motion on
@@ -267,8 +279,10 @@ def _attempt(
     def best() -> Any:
         last: optimal_control.Improvement | None = None
         pauses = sum(each.pause or 0.0 for each in goals.ways)
+        # few cases have no others between them
+        some = nodes if max(nodes) < len(ways[0].cases) else range(len(ways[0].cases))
         try:
-            for last in optimal_control.optimal_motion(ways, loads, nodes, loose=loose, aim=goals.wishes.minimise):
+            for last in optimal_control.optimal_motion(ways, loads, some, loose=loose, aim=goals.wishes.minimise):
                 time = pauses + sum(each.duration for each in last.motions)
                 show(f"optimal control over the bands: {time:.4g} s", None)
         except EquilibriumError:
@@ -291,8 +305,8 @@ def _candidate(goals: Goals, label: str, splines: Sequence[JointSpline]) -> Cand
     return replace(parts[0], ways=tuple(parts)) if goals.ways else parts[0]
 
 
-def _ways(goals: Goals) -> tuple[list[tuple[Robots, NDArray[np.intp]]], list[int]]:
-    """The robots of each way in the scene's model and in a fuller one with the robot of every case, and the programmes' cases."""
+def _ways(goals: Goals) -> tuple[list[tuple[Robots, NDArray[np.intp]]], list[int], NDArray[np.intp]]:
+    """The robots of each way in the scene's model and in a fuller one with the robot of every case, the programmes' cases, and the first one's."""
     ways, nodes = [(Robots(), list[NDArray[np.intp]]()) for _ in goals.ways or (goals,)], list[int]()
     each_goals = goals.ways or (goals,)
     for count, few, fuller in zip(PAYLOADS, (optimal_control.NODES, FULLER_NODES), (False, True), strict=True):
@@ -305,7 +319,8 @@ def _ways(goals: Goals) -> tuple[list[tuple[Robots, NDArray[np.intp]]], list[int
                 robots.append([RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in own])
         if scenes[0] is not None:
             nodes += [first + k for k in _nodes(max(variations, key=len), few)]
-    return [(robots, np.concatenate(cases)) for robots, cases in ways], nodes
+    first_nodes = _nodes(max((each.variations(PAYLOADS[0]) for each in each_goals), key=len), FEW)
+    return [(robots, np.concatenate(cases)) for robots, cases in ways], nodes, np.array(first_nodes)
 
 
 def excesses(judged: Assessment) -> Mapping[str, float]:
@@ -332,8 +347,7 @@ def reserves(judged: Assessment) -> Mapping[str, float]:
         name: share / FULL for name, share in shares.items() if name in ("torque", *LOADS) and ACTIVE < share < FULL
     }
     residual = max(shares["residual"], 0.5) / FULL_RESIDUAL
-    found |= {"residual": residual} if residual < 1.0 else {}
-    return found if min(found.values(), default=1.0) < FULL_RESIDUAL else {}
+    return found | ({"residual": residual} if residual < 1.0 else {})
 
 
 def tightened(limits: optimal_control.MotionLimits, excess: Mapping[str, float]) -> optimal_control.MotionLimits:
@@ -420,7 +434,7 @@ def _given_loads(
     motion = goals.given.once
     ends = motion.joints.evaluate([0.0, motion.duration], 0, "right")[0]
     response = ElasticResponse(
-        robots[0].scene, [each.changes for each in robots], ends[0], GIVEN_STEPS, CompiledAtPoints
+        robots[0].scene, [each.changes for each in robots], ends[0], GIVEN_STEPS, CompiledAtPoints, shared=GIVEN_SHARED
     )
     references = motion.joints.evaluate(response.fractions * motion.duration, 2, "left")
     torque = response.respond(np.hstack(list(references)), motion.duration).torque
