@@ -139,7 +139,7 @@ class ElasticResponse:
             by, matrices = np.empty((len(references), 6, 0)), None
             values = self._values(z, references, duration)
         else:
-            matrices = self._renewed(z, references, duration, 1)
+            matrices = self._renewed(z, references, duration, derivatives=True)
             values = matrices.values
         n = self.model.n
         q_end, rate_end = (each[:, -1] for each in self._integrated(z))
@@ -161,7 +161,7 @@ class ElasticResponse:
     def _solved(self, references: RealArray, duration: float) -> RealArray:
         """Stage values z (P, N, n) that satisfy the equations of motion, by Newton's method with kept matrices."""
         z, before, n = self._guess, math.inf, self.model.n
-        matrices = self._matrices or self._renewed(z, references, duration, self._shared)
+        matrices = self._matrices or self._renewed(z, references, duration, derivatives=False)
         for _ in range(ITERATIONS):
             change = matrices.solved(self._values(z, references, duration)[..., :n])
             size = float(np.abs(self._integrated(change, 0.0)[0]).max(initial=0.0))
@@ -173,7 +173,7 @@ class ElasticResponse:
                 break
             rate = size / before
             if rate > CONTRACTS or rate**RENEWED * size > self._accuracy:
-                matrices = self._renewed(z, references, duration, self._shared)
+                matrices = self._renewed(z, references, duration, derivatives=False)
             before = size
         # the next motion starts anew
         self._guess, self._matrices = np.zeros_like(z), None
@@ -198,13 +198,15 @@ class ElasticResponse:
         q, rate = self._integrated(z)
         return self.model.values(q, rate / duration, z / duration**2, references)
 
-    def _renewed(self, z: RealArray, references: RealArray, duration: float, shared: int) -> _Matrices:
-        q, rate = self._integrated(z)
+    def _renewed(self, z: RealArray, references: RealArray, duration: float, *, derivatives: bool) -> _Matrices:
+        (q, rate), shared = self._integrated(z), 1 if derivatives else self._shared
         # the step in the middle of those that share a matrix
         some = np.arange(3 * self.steps).reshape(-1, shared, 3)[:, shared // 2].ravel()
         q, v, a = q[:, some], rate[:, some] / duration, z[:, some] / duration**2
         values, jacobian = self.model.linearised(q, v, a, references[some])
         self._matrices = _Matrices(values, jacobian, v, a, duration, self.steps)
+        if not derivatives:
+            self._matrices.outputs = None
         return self._matrices
 
 
@@ -241,8 +243,8 @@ class _Matrices:
         inverse = self._inverse.reshape(count, steps, 3, n * 3 * n)
         self._next = (weights @ inverse).reshape(count, steps, 2 * n, 3 * n)
         self._transition = np.kron(np.array([[1.0, h], [0.0, 1.0]]), np.eye(n)) - self._next @ self._of_state
-        # of the outputs and by the references, which derivatives alone need
-        self._by_z, self._by_state, self._by_stage, self._v, self._a = by_z, by_state, by_stage, v, a
+        # of the outputs and by the references, which derivatives alone need, once
+        self.outputs: tuple[RealArray, ...] | None = (by_z[:, :, :, n:], by_state[:, :, :, n:], by_stage, v, a)
 
     def solved(self, loads: RealArray) -> RealArray:
         """z (P, N, n) under loads on the stages of the same shape, from rest."""
@@ -263,13 +265,14 @@ class _Matrices:
             by_duration: whether the last variable is T.
         """
         count, steps, _, n = self._shape
-        by_stage, out_z = self._by_stage, self._by_z[:, :, :, n:].reshape(count, steps, 12, 3 * n)
-        out_state = self._by_state[:, :, :, n:].reshape(count, steps, 12, 2 * n)
+        assert self.outputs is not None
+        (out_z, out_state, by_stage, v, a), self.outputs = self.outputs, None
+        out_z, out_state = out_z.reshape(count, steps, 12, 3 * n), out_state.reshape(count, steps, 12, 2 * n)
         explicit = by_stage[..., 3 * n :] @ by.reshape(1, steps, 3, 6, -1)
         if by_duration:
             # at constant z
-            of_rates = by_stage[..., n : 2 * n] @ self._v.reshape(self._shape)[..., np.newaxis]
-            of_rates += 2 * (by_stage[..., 2 * n : 3 * n] @ self._a.reshape(self._shape)[..., np.newaxis])
+            of_rates = by_stage[..., n : 2 * n] @ v.reshape(self._shape)[..., np.newaxis]
+            of_rates += 2 * (by_stage[..., 2 * n : 3 * n] @ a.reshape(self._shape)[..., np.newaxis])
             explicit[..., -1] -= of_rates[..., 0] / self._duration
         m = explicit.shape[-1]
         loads = -explicit[..., :n, :].reshape(count, steps, 3 * n, m)
