@@ -114,12 +114,15 @@
   const metricCurves = charts.flatMap((chart) => chart.panels.flatMap(({ curves }) => curves.map((each) => each.source?.metric))).filter(Boolean);
   const shown = new Set([...cells.map((each) => each.name), ...metricCurves]), verdict = document.querySelector(".verdict"), recordedVerdict = verdict.textContent;
   const magnification = () => charts.flatMap((chart) => chart.panels).find((each) => each.motion)?.motion.magnification;
+  let referenced = "";
   const sliderOf = (key) => sliders.find((each) => each.key === key);
   const show = (results, isUsual) => {
     const [one] = results.values();
     for (const chart of charts) {
       const { motion } = chart.panels[0], sources = chart.panels.flatMap(({ curves }) => curves.map((each) => each.source)).filter(Boolean);
       if (motion) chart.whenSeen(() => { const now = motion.time[motion.frame]; moved(motion, one); motion.show(now); });
+      // the joints' references are what they were unless their time changes
+      if (chart.key === "references" && referenced === `${chosen} ${one.grid.key}`) continue;
       if (sources.length) chart.whenSeen(() => {
         for (const each of chart.panels) {
           for (const curve of each.curves) {
@@ -131,8 +134,9 @@
               continue;
             }
             const options = { magnification: magnification(), most: each.xLimits?.[1] };
-            const [x, y] = r.curve(source, options) ?? [curve.x, curve.y], before = isUsual || source.of.includes("reference") ? null : usual(isCompared ? r.simulation : simulations[0]).curve(source, options);
-            Object.assign(curve, { x, y, ghost: before && { x: before[0], y: before[1] } });
+            const recorded = (curve.recorded ??= usual(isCompared ? r.simulation : simulations[0]).curve(source, options) ?? [curve.x, curve.y]);
+            const [x, y] = isUsual ? recorded : r.curve(source, options) ?? recorded, ghost = !isUsual && !source.of.includes("reference");
+            Object.assign(curve, { x, y, ghost: ghost && { x: recorded[0], y: recorded[1] } });
           }
           if (each.marks.length && chart.overTime && !isCompared) each.marks[0] = [one.duration, each.marks[0][1]];
           if (chart.key === "dwell") each.xLimits = [one.duration, one.time[one.size - 1]];
@@ -140,6 +144,7 @@
         chart.redraw(true);
       });
     }
+    referenced = `${chosen} ${one.grid.key}`;
     verdict.textContent = (isUsual ? "" : "As recorded: ") + recordedVerdict;
     const metrics = new Map([...results].map(([place, r]) => [place, r.measured ?? r.measure(shown)])), zero = metrics.get(0);
     for (const { cell, name, text, run, factor, unit, limit, compared } of cells) {

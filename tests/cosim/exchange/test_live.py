@@ -5,7 +5,11 @@ from __future__ import annotations
 import base64
 import importlib
 import json
+import shutil
+import socket
 import subprocess
+import time
+from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -285,6 +289,86 @@ def test_a_sweep_simulates_the_point_that_is_picked(browser: Any, tmp_path: Path
     assert number(tile.inner_text()) == pytest.approx(expected["peak_torque_1"].value, rel=1e-4)
     assert problems == []
     page.context.close()
+
+
+class Firefox:
+    """Debian's Firefox without a window, by the protocol that it has itself: Marionette, JSON behind its length (playwright needs its own build)."""
+
+    def __init__(self, program: str, profile: Path) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        (profile / "user.js").write_text(f'user_pref("marionette.port", {port});\n')
+        command = [program, "--headless", "--marionette", "--no-remote", "--profile", str(profile)]
+        self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        for _ in range(600):
+            try:
+                self.socket = socket.create_connection(("127.0.0.1", port), 60.0)
+                break
+            except OSError:
+                time.sleep(0.1)
+        self.file, self.count = self.socket.makefile("rb"), 0
+        self.receive()
+        self.send("WebDriver:NewSession")
+
+    def receive(self) -> Any:
+        """The next message."""
+        size = b""
+        while (digit := self.file.read(1)) != b":":
+            assert digit
+            size += digit
+        return json.loads(self.file.read(int(size)))
+
+    def send(self, name: str, **arguments: Any) -> Any:
+        """What a command answers."""
+        self.count += 1
+        text = json.dumps([0, self.count, name, arguments]).encode()
+        self.socket.sendall(b"%d:%s" % (len(text), text))
+        _, _, error, found = self.receive()
+        assert error is None, error
+        return found
+
+    def evaluate(self, expression: str) -> Any:
+        """The value of a promise of the page, whose policy allows scripts in it alone."""
+        script = """const [text, done] = arguments, script = document.createElement("script");
+        addEventListener("told", () => done(document.body.dataset.told), { once: true });
+        script.textContent = `(async () => (${text}))().catch(String).then((found) => {
+          document.body.dataset.told = JSON.stringify(found ?? null); dispatchEvent(new Event("told")); })`;
+        document.body.append(script);"""
+        found = self.send("WebDriver:ExecuteAsyncScript", script=script, args=[expression], scriptTimeout=60000)
+        return json.loads(found["value"])
+
+
+@pytest.fixture
+def firefox(tmp_path: Path) -> Iterator[Firefox]:
+    """One for a test."""
+    program = shutil.which("firefox-esr") or shutil.which("firefox")
+    if program is None:
+        pytest.skip("needs firefox")
+    (tmp_path / "profile").mkdir()
+    found = Firefox(program, tmp_path / "profile")
+    yield found
+    found.send("Marionette:Quit")
+    found.file.close()
+    found.socket.close()
+    found.process.wait(30.0)
+
+
+def test_firefox_simulates_with_the_same_bits(firefox: Firefox, tmp_path: Path) -> None:
+    """From file://: the recording's bits, a figure that follows a slider, no error."""
+    run = flexfmu.run("barnard2012-6kg")
+    firefox.send("WebDriver:Navigate", url=f"file://{run.live_report(tmp_path / 'x.html')}")
+    wait = "new Promise(done => { const look = () => (document.querySelector('#live.ready') ? done() : setTimeout(look, 50)); look(); })"
+    firefox.evaluate(f"{wait}.then(() => {{ onerror = (message) => (document.body.dataset.problem = message); }})")
+    shown = firefox.evaluate("Array.from(page.live.usual.signal('joint1.torque', 1))")
+    np.testing.assert_array_equal(shown, run.recording["joint1.torque"].first)
+    moved = """(() => { const slider = page.live.sliders.find(({ name }) => name === "payload.mass");
+      slider.input.value = -0.4; slider.input.dispatchEvent(new Event("input"));
+      return new Promise(done => setTimeout(() => done([page.live.state.get(slider), document.querySelector(".tile [data-metric=peak_torque_1]").textContent, document.body.dataset.problem ?? ""]), 1500)); })()"""
+    mass, tile, problem = firefox.evaluate(moved)
+    expected = measure_run(flexfmu.run(run.scene.replace({"payload.mass": mass})), 0)["peak_torque_1"].value
+    assert number(tile) == pytest.approx(expected, rel=1e-4)
+    assert problem == ""
 
 
 def test_a_notebook_s_page_is_accessible(browser: Any, tmp_path: Path) -> None:
