@@ -18,10 +18,13 @@ from flexfmu.cosim.metrics.metric_table import definition
 from flexfmu.cosim.reports.figure_style import PlainNumbers, draw, save
 from flexfmu.cosim.reports.page import Page, Plot
 from flexfmu.cosim.reports.work_precision import FLOOR, FRONT, by_line, diagram, fronts, points
-from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy, sentence
+from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy, cheapest, sentence
 
 FONT_SIZE = 5.5
 """Of labels, which the ends of a line have; the page shows all settings."""
+
+FINE = 1e-4
+"""Error of the settings that stand at the top of the page."""
 
 DARKER = 0.75
 """Of the colour of a line in its labels, which are thin."""
@@ -115,8 +118,14 @@ def draw_family(axes: Axes, study: WorkPrecisionStudy, name: str) -> None:
 
 def html(study: WorkPrecisionStudy) -> str:
     """Return the page: a diagram for each family, in which every point shows its setting, error, time and work."""
-    plots = [_plot(study, name) for name in study.families]
-    return Page(f"Work and precision: {study.scene.name}", sentence(study), plots).html
+    plots, tiles = [_plot(study, name) for name in study.families], list[tuple[str, Sequence[str]]]()
+    for name in study.families:
+        if (best := cheapest(study.family(name), FINE)) is not None:
+            label = (
+                f"{_title(study, name)[0].partition(' over ')[0]}, fastest within {FINE:g}: {best.line}, {best.label}"
+            )
+            tiles.append((label, [f"{1e3 * (best.time or 0.0):.3g} ms"]))
+    return Page(f"Work and precision: {study.scene.name}", sentence(study), plots, tiles=tiles).html
 
 
 def _plot(study: WorkPrecisionStudy, name: str) -> Plot:
