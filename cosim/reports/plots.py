@@ -265,7 +265,7 @@ def _point(position: RealArray) -> Point:
 POINTS = 3000
 """Approximate number of points of a curve, as many as a plot of this size resolves."""
 
-REFERENCES_HEIGHT = 280.8
+REFERENCES_HEIGHT = 380.0
 """Height of a plot [pt]."""
 
 BESIDE, BESIDES, LEGEND = 58.0, 42.0, 22.0

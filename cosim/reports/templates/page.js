@@ -1,5 +1,5 @@
 "use strict";
-// Charts by uPlot: axes, cursors, zoom; what a chart shows stands beside it as JSON (chart.py). Charts over time share cursor and zoom.
+// Charts by uPlot: curves, axes, cursors, zoom; marks and the robot are drawn here. What a chart shows stands beside it as JSON (chart.py). Charts over time share cursor and zoom.
 const page = (() => {
   const charts = [], css = getComputedStyle(document.documentElement), clamp = (value, low, high) => Math.min(Math.max(value, low), high);
   const html = (name, properties, parent, text) => {
@@ -73,18 +73,29 @@ const page = (() => {
       this.plot?.destroy();
       this.plot = new uPlot({
         width, height, padding: [8, 10, 0, 0], legend: { show: false }, scales: { x: scale("x"), y: scale("y") }, axes: [x, y],
-        series: [{}, { show: true, stroke: "transparent" }],
-        cursor: { y: !this.is_function, points: { show: false }, drag: { x: true, y: !this.is_function, setScale: false, uni: 10 }, bind: { dblclick: () => () => (chart.reset(), null) } },
+        mode: 2, pxAlign: 0, series: [null, ...this.lines.flatMap((c) => [this.series(c), this.series(c, true)])],
+        cursor: { y: !this.is_function, points: { show: false }, dataIdx: () => null, drag: { x: true, y: !this.is_function, setScale: false, uni: 10 }, bind: { dblclick: () => () => (chart.reset(), null) } },
         hooks: {
           draw: [() => this.draw()], setCursor: [(u) => u.cursor.event && this.pointed(u)],
           setSelect: [(u) => { if (u.select.width > 5) this.selected(u.select); u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false); }],
         },
-      }, [[this.whole.x[0], this.whole.x[1]], [null, null]], this.box ??= html("div", { className: "panel" }, chart.body));
+      }, this.data(), this.box ??= html("div", { className: "panel" }, chart.body));
       // uPlot keeps clicks to itself whose cursor has moved by parts of a pixel
       let down = null;
       this.plot.over.addEventListener("pointermove", () => this.plot.syncRect(true));
       this.plot.over.addEventListener("pointerdown", (event) => (down = event));
       this.plot.over.addEventListener("pointerup", (event) => { if (down && this.chosen && Math.hypot(event.x - down.x, event.y - down.y) < 4) page.pick?.(this.chosen); });
+    }
+    get lines() { return this.curves.filter((c) => !(c.group === "pose" && this.motion)); }
+    series({ off, width, opacity, dashes, colour: name }, isGhost = false) {
+      const look = isGhost ? { width: 1, dash: [2, 3], alpha: 0.6 } : { width, dash: dashes, alpha: opacity }, facet = (scale) => ({ scale, auto: false });
+      return { show: !off && width > 0, stroke: () => colour(name), points: { show: false }, paths: uPlot.paths.linear(), facets: [facet("x"), facet("y")], ...look };
+    }
+    // the curves for uPlot, and those of the recording behind them; where there is no value a curve is broken
+    data() {
+      const broken = (values, isLog) => (values.every((v) => isFinite(v) && (!isLog || v > 0)) ? values : Array.from(values, (v) => (isFinite(v) && (!isLog || v > 0) ? v : null)));
+      const drawn = (c) => (c ? [c.x, broken(c.y, this.log.y)] : [[], []]);
+      return [null, ...this.lines.flatMap((c) => [drawn(c), drawn(c.ghost)])];
     }
     // the height at which both axes have one scale, and limits that fit it
     scaled(width) {
@@ -112,32 +123,15 @@ const page = (() => {
         ctx.fill(); ctx.globalAlpha = 1;
       };
       const text = (content, x, y, align = "left", fill = "var(--ink)") => { ctx.fillStyle = colour(fill); ctx.textAlign = align; ctx.fillText(content, x, y); };
-      // of a long curve the ends and the extremes in each pixel
-      const drawn = ({ x, y }) => {
-        const found = [], count = x.length;
-        if (!this.is_function || count < 3 * this.chart.width) { for (let i = 0; i < count; i++) found.push([at(x[i], "x"), at(y[i], "y")]); return found; }
-        for (let i = 0; i < count; ) {
-          const pixel = Math.floor(at(x[i], "x"));
-          let low = i, high = i, last = i;
-          for (; i < count && Math.floor(at(x[i], "x")) === pixel; last = i++) { if (y[i] < y[low]) low = i; if (y[i] > y[high]) high = i; }
-          for (const k of [...new Set([Math.min(low, high), Math.max(low, high), last])]) found.push([at(x[k], "x"), at(y[k], "y")]);
-        }
-        return found;
-      };
       this.marks.forEach(([x, label], i) => {
         line([[at(x, "x"), bbox.top], [at(x, "x"), bbox.top + bbox.height]], "var(--grey)", 1, [5, 4]);
         text(label, at(x, "x") + 4 * ratio, bbox.top + (12 + 13 * (i % 2)) * ratio, "left", "var(--grey)");
       });
       if (this.level !== null) line([[bbox.left, at(this.level, "y")], [bbox.left + bbox.width, at(this.level, "y")]], "var(--grey)", 1, [5, 4]);
-      for (const c of this.curves) {
-        if (c.off || (c.group === "pose" && this.motion)) continue;
-        const points = drawn(c);
-        if (c.width) line(points, c.colour, c.width, c.dashes, c.opacity);
-        if (c.ghost) line(drawn(c.ghost), c.colour, 1, [2, 3], 0.6);
-        for (const [x, y] of c.dot ? points : []) {
-          if (!isFinite(x) || !isFinite(y)) continue;
-          if (c.dot === "disc") disc(x, y, 6, c.colour); else for (const s of [1, -1]) line([[x - 4 * ratio, y - 4 * s * ratio], [x + 4 * ratio, y + 4 * s * ratio]], c.colour, 1.6);
-        }
+      for (const c of this.lines) for (let i = 0; c.dot && !c.off && i < c.x.length; i++) {
+        const x = at(c.x[i], "x"), y = at(c.y[i], "y");
+        if (!isFinite(x) || !isFinite(y)) continue;
+        if (c.dot === "disc") disc(x, y, 6, c.colour); else for (const s of [1, -1]) line([[x - 4 * ratio, y - 4 * s * ratio], [x + 4 * ratio, y + 4 * s * ratio]], c.colour, 1.6);
       }
       for (const m of this.markers) {
         if (m.group === "pose" && this.motion) continue;
@@ -206,7 +200,7 @@ const page = (() => {
         html("span", {}, key, label);
         this.keys.push({ curves, value: html("output", {}, key) });
         key.ariaPressed = "true";
-        key.addEventListener("click", () => { const off = key.classList.toggle("off"); key.ariaPressed = String(!off); curves.forEach((c) => (c.off = off)); this.redraw(); });
+        key.addEventListener("click", () => { const off = key.classList.toggle("off"); key.ariaPressed = String(!off); curves.forEach((c) => (c.off = off)); this.redraw(true); });
       }
       body.tabIndex = 0;
       body.addEventListener("keydown", (event) => this.pressed(event));
@@ -228,6 +222,7 @@ const page = (() => {
     }
     // new values of the curves, as much of them as before in view
     redraw(isNew = false) {
+      if (isNew) for (const panel of this.panels) { panel.plot.setData(panel.data(), false); panel.lines.forEach((c, i) => { panel.plot.series[2 * i + 1].show = panel.plot.series[2 * i + 2].show = !c.off && c.width > 0; }); }
       if (isNew && !this.panels[0].is_to_scale) {
         const all = this.panels.map((panel) => panel.limits("x"));
         this.limits = [Math.min(...all.map((each) => each[0])), Math.max(...all.map((each) => each[1]))];
