@@ -43,17 +43,24 @@ CORNERS = ("lame", "polar")
 """Kinds of corners; combinations of shapers are compared with the first one. Clothoids and other time laws than polynomials with as many
 numbers win on no robot that was tried."""
 
-ROUNDS, FINAL = ((3, 1, 5), (3, 2, 8), (7, 2, 10)), (7, 4, 10)
-"""Payloads, steps of the integration in each part of a motion, and programmes of each round, and of the motions that are judged."""
+ROUNDS, FINAL = ((3, 1, 5), (5, 2, 8), (7, 2, 10)), (7, 4, 10)
+"""Payloads, steps of the integration in each part of a motion, and programmes of each round, and of motions that are judged."""
 
-KEPT, LAST = 4, 2
+KEPT, LAST = 3, 2
 """Families that go on after the first round, and after the second one."""
 
 SPREAD = 0.15
 """Standard deviation of a family's second start, in each number but those of the time law."""
 
-STRETCH, STRETCHES = 1.4, 5
-"""Factor by which a first motion is slower where there is none, and how often."""
+STRETCH, STRETCHES, DEARER = 1.4, 5, 10.0
+"""Factor by which a first motion is slower where there is none, or none that meets limits in the end, how often, and that on the price
+of what isn't met."""
+
+QUIETER = 0.95
+"""Factor on the limit of the residual vibration in each further try of a motion that is judged."""
+
+NEARLY, INFEASIBLE = 0.01, 10.0
+"""Violation up to which limits count as met, half as much again of the residual vibration, and what others cost more."""
 
 WORTH = 2.0
 """Weight of the violations of limits beside the logarithm of what is minimised."""
@@ -64,8 +71,8 @@ MOST_MODES, NEIGHBOURHOOD = 2, 3.0
 LOWEST, HIGHEST = 0.6, 2.0
 """Range of the path's height, as multiples of the given one, where the given motion's way doesn't bound it."""
 
-QUIET, SLOWER = (0.3, 0.1), 1.12
-"""Residual vibration of the front's slower motions, relative to the limit, and the factor on the duration of their first motions."""
+QUIET, SLOWER = (0.1,), 1.2
+"""Residual vibration of the front's slower motion, relative to the limit, and the factor on the duration of their first motions."""
 
 NONE = 1e-2
 """Limit of the residual vibration, relative to the wish, where it is what is minimised."""
@@ -97,7 +104,7 @@ def search(
     with mapping(partial(_improved, study), processes) as work:
         going = [*study.first]
         for number, (robots, parts, programmes) in enumerate(ROUNDS):
-            tasks = [(each, robots, parts, programmes) for each in going]
+            tasks = [(each, robots, parts, programmes, False) for each in going]
             keys = [("search", asked + k) for k in range(len(tasks))]
             made = work([task for key, task in zip(keys, tasks, strict=True) if key not in journal])
             asked, costs = asked + len(tasks), list[float]()
@@ -112,7 +119,7 @@ def search(
             best = [going[k] for k in order]
             if number == 0:
                 going = best[:KEPT] + [study.with_corners(each) for each in best[:LAST]]
-                going += [study.near(each, random) for each in best[:LAST]]
+                going += [study.near(each, random) for each in best[:1]]
             else:
                 going = best[:LAST]
     if not best:
@@ -127,11 +134,17 @@ def _judged(
     last = first
 
     def attempt(
-        key: Any, ways: Sequence[Way], loads: Mapping[str, RealArray], loose: float
+        key: tuple[str, Any], ways: Sequence[Way], loads: Mapping[str, RealArray], loose: float
     ) -> list[FamilyMotion] | None:
         nonlocal last
-        tight = replace(study, way=ways[0], loads=loads)
-        found = journal.kept(("search", *key), Found, lambda: _improved(tight, (ways[0].start, *FINAL)))  # type: ignore[arg-type]
+        (way,), (place, number) = ways, key
+        start, again = way.start, place == "judged"
+        assert isinstance(start, FamilyMotion)
+        # between the payloads of the programmes residuals are larger, whether or not the limit binds at them
+        further = QUIETER**number if again else 1.0
+        limits = replace(way.limits, residual=further * way.limits.residual)
+        tight = replace(study, way=replace(way, limits=limits), loads=loads)
+        found = journal.kept(("search", *key), Found, lambda: _improved(tight, (start, *FINAL, again)))
         if found is None:
             return None
         last = replace(first, numbers=np.array(found[0]), duration=found[1])
@@ -227,30 +240,34 @@ def study_of(goals: Goals, given: Assessment, payloads: int = FINAL[0]) -> Motio
     return MotionStudy(first, way, loads, wishes.minimise, usual)
 
 
-def _improved(study: MotionStudy, task: tuple[FamilyMotion, int, int, int]) -> Found:
-    """A motion after some programmes for some robots, with its cost; None if there is none of this family."""
-    motion, robots, parts, programmes = task
+def _improved(study: MotionStudy, task: tuple[FamilyMotion, int, int, int, bool]) -> Found:
+    """A motion after some programmes for some robots, with its cost; None if there is none of this family.
+
+    The task is the first motion, numbers of payloads, steps and programmes, and whether what misses limits is tried again.
+    """
+    motion, robots, parts, programmes, again = task
     cases = np.array(study.cases(robots))
-    loads = {name: each[cases] for name, each in study.loads.items()}
-    for _ in range(STRETCHES):
-        state: State | None = None
+    loads, found = {name: each[cases] for name, each in study.loads.items()}, list[tuple[float, FamilyMotion]]()
+    for number in range(STRETCHES):
         try:
-            way = replace(study.way, start=motion).of_cases(cases)
-            stage = Stage([way], loads, parts, [study.usual], study.aim)
+            stage = Stage([replace(study.way, start=motion).of_cases(cases)], loads, parts, [study.usual], study.aim)
+            # where limits weren't met before they are worth more
+            stage.price *= DEARER ** min(len(found), number)
             *_, state = stage.improvements((motion,), programmes)
+            (motion,), missed = state.motions, state.violations  # type: ignore[assignment]
+            cost = log(max(_minimised(study.aim, stage, state), 1e-12)) + WORTH * float(missed.sum())
+            found.append((cost + (INFEASIBLE if missed.max() > NEARLY else 0.0), motion))
+            if missed.max() < NEARLY or not again:
+                break
         except (TrajectoryError, EquilibriumError):
             pass
-        if state is not None:
-            break
         if study.aim != "time":
-            return None
+            break
         motion = motion.with_duration(STRETCH * motion.duration)
-    if state is None:
+    if not found:
         return None
-    (last,) = state.motions
-    assert isinstance(last, FamilyMotion)
-    cost = log(max(_minimised(study.aim, stage, state), 1e-12)) + WORTH * float(state.violations.sum())
-    return last.numbers.tolist(), last.duration, cost
+    cost, motion = min(found, key=lambda each: each[0])
+    return motion.numbers.tolist(), motion.duration, cost
 
 
 def _minimised(aim: Aim, stage: Stage, state: State) -> float:

@@ -110,7 +110,7 @@ def test_derivatives_of_limits_are_those_of_longer_differences(study: MotionStud
 
 @pytest.mark.slow
 def test_no_grid_finds_a_better_motion(study: MotionStudy) -> None:
-    found = module._improved(study, (study.first[2], 3, 2, 20))
+    found = module._improved(study, (study.first[2], 3, 2, 20, False))
     assert found is not None
     motion = replace(study.first[2], numbers=np.array(found[0]), duration=found[1])
     stage = Stage([replace(study.way, start=motion)], study.loads, 2, [0.3])
@@ -164,7 +164,7 @@ def test_least_residual_at_a_given_time() -> None:
     study = study_of(goals, Judge(goals, 3).given, 3)
     judge, residuals = Judge(goals, 3), list[float]()
     for programmes in (0, 8):
-        found = module._improved(study, (study.first[2], 3, 2, programmes))
+        found = module._improved(study, (study.first[2], 3, 2, programmes, False))
         assert found is not None
         assert found[1] == pytest.approx(0.25)
         design = study.first[2].family.design(np.array(found[0]), found[1])
