@@ -198,21 +198,22 @@ def side_by_side(page: Page, runs: Sequence[tuple[str, Run | None]]) -> Page:
     return with_few_points(replace(page, live=simulating(found, range(len(found)))))
 
 
-def swept_page(page: Page, scene: Scene, swept: Mapping[str, tuple[float, float]], names: Sequence[str]) -> Page:
+def swept_page(page: Page, scene: Scene, swept: Mapping[str, tuple[float, float] | None], names: Sequence[str]) -> Page:
     """The page of a sweep with its scene, which runs at a point that is picked, or where the sliders of the swept keys are.
 
     Args:
         page: of the sweep.
         scene: what was swept.
-        swept: key of the scene, as it was written → smallest and largest value.
+        swept: key of the scene, as it was written → smallest and largest value; None for a key with other values than numbers.
         names: metrics of the page's tiles, which have extremes and get the value here.
     """
     run = run_scene(scene)
     found = live_run(run, is_exact=False)
     data = scene.model_dump(mode="json", exclude_none=True)
     keys = {full_key(data, each["key"]): each["key"] for each in found.facts.get("sliders", ()) if each["key"]}
-    known = {keys[full]: swept[key] for key in swept if (full := full_key(data, key)) in keys}
-    fixed = [key for key in swept if full_key(data, key) not in keys]
+    sliding = {key: keys[full] for key in swept if swept[key] is not None and (full := full_key(data, key)) in keys}
+    known = {name: span for key, name in sliding.items() if (span := swept[key]) is not None and span[0] < span[1]}
+    fixed = [key for key in swept if key not in sliding]
     live = simulating([("", found)], swept=known)
     if found.facts and fixed:
         live = replace(live, reasons=[f"other values of {', '.join(fixed)}, which stay as in the scene"])

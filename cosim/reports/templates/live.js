@@ -158,10 +158,11 @@
 
   // the error of a result by a companion, where there is time
   let pending = 0, idle = 0, addressed = 0;
+  // but for what is rounding, below a nanometre for example
   const companion = (simulation, r) => {
     const given = optionsOf(simulation), metrics = r.measure(shown);
     const finer = simulation.run({ ...given, step: (given.step ?? facts.step) / 2, tolerance: Math.max((given.tolerance ?? facts.tolerance) / 100, 1e-12) }).measure(shown);
-    const errors = Object.keys(metrics).map((name) => (metrics[name] && finer[name] ? Math.abs(finer[name] / metrics[name] - 1) : 0));
+    const errors = Object.keys(metrics).map((name) => (metrics[name] > 1e-9 && finer[name] ? Math.abs(finer[name] / metrics[name] - 1) : 0));
     status.textContent = `${status.dataset.time}, metrics within ${short(Math.max(...errors, 1e-12), 2)} of a run with half the step and a hundredth of the tolerance`;
   };
   const update = () => {

@@ -218,7 +218,7 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
 
             if self.scene is None:
                 raise InputError(f"the page of {self.name} can't simulate: it is no scene")
-            spans = {key: (min(column), max(column)) for key, column in numbers.items()}
+            spans = {key: (min(numbers[key]), max(numbers[key])) if key in numbers else None for key in self.cases.keys}
             page = swept_page(page, self.scene, spans, shown[:TILES])
         return page.html
 

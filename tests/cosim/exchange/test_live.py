@@ -263,11 +263,19 @@ def test_runs_side_by_side_have_common_sliders(browser: Any, tmp_path: Path) -> 
 def test_a_sweep_simulates_the_point_that_is_picked(browser: Any, tmp_path: Path) -> None:
     """Its case's own values, and those between cases; what no slider changes is said."""
     scene = load_scene("barnard2012-6kg")
-    keys = {"payload.mass": [2.0, 4.0, 6.0], "trajectory.duration": [0.4, 0.43], "trajectory.dwell": [0.2, 0.25]}
+    keys = {
+        "payload.mass": [2.0, 4.0, 6.0],
+        "trajectory.duration": [0.4, 0.43],
+        "trajectory.dwell": [0.2, 0.25],
+        "trajectory.profile": ["poly7"],
+    }
     result = flexfmu.sweep(scene, keys, processes=1)
     (tmp_path / "sweep.html").write_text(result.page(live=True))
     page, problems = opened(browser, tmp_path / "sweep.html")
-    assert "other values of trajectory.dwell, which stay as in the scene" in page.locator(".hero").inner_text()
+    assert (
+        "other values of trajectory.dwell, trajectory.profile, which stay as in the scene"
+        in page.locator(".hero").inner_text()
+    )
     figure = page.locator("figure", has=page.locator("h3", has_text="Peak torque, joint 1"))
     figure.scroll_into_view_if_needed()
     page.wait_for_timeout(500.0)
