@@ -13,7 +13,7 @@ from flexfmu.cosim.reports.work_precision import ACCURACY
 from flexfmu.trajectories.path import BLENDS
 from flexfmu.trajectories.profiles import PROFILES
 
-FIRST_PLOTS = ("scene", "motion")
+FIRST_PLOTS = ("scene",)
 """Plots beside the sliders."""
 
 OPEN = ("Metrics", "Motors", "Stress of the links", "Learning")
