@@ -28,8 +28,14 @@ OTHERS: dict[str, dict[str, Any]] = {
     "craig-bampton": {"effects.basis": "craig-bampton", "effects.distal_bending": 2},
     "rotor-inertia": {"effects.motor_inertia": 0.1},
     "empty": {"payload.mass": 0.0},
-}
-"""Name → changes of `HEAVY`: other materials, assemblies, effects and loads."""
+    "drives": {
+        "motor": {
+            "continuous_torque": 1.6, "peak_torque": 4.8, "maximum_speed": 600.0, "torque_speed_curve": [[0.0, 4.8], [300.0, 4.8], [600.0, 2.0]],
+            "rotor_inertia": 4.4e-5, "gear_ratio": 25.0, "gear_efficiency": 0.94, "thermal_time_constant": 20.0,
+        }
+    },
+}  # fmt: skip
+"""Name → changes of `HEAVY`: other materials, assemblies, effects, loads and limits."""
 
 SCENES = ("barnard2012-6kg", "barnard2012-0.1kg", str(EXAMPLES / "tubes.toml"), str(EXAMPLES / "steel.toml"), *OTHERS)
 

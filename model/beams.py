@@ -392,3 +392,30 @@ def scene_shapes(scene: Scene) -> dict[tuple[LinkGroup, Direction], tuple[Shape,
             slender = slenderness(scene.mechanism, group) if thick else THIN
             found[group, direction] = family_shapes(chosen.basis, group, direction, modes, slender)
     return found
+
+
+LINKS: tuple[tuple[str, LinkGroup], ...] = (
+    ("link11", "proximal"),
+    ("link21", "proximal"),
+    ("link12", "distal"),
+    ("link22", "distal"),
+)
+"""Names of the links and their groups."""
+
+
+def fibre_strains(
+    scene: Scene, link: str, group: LinkGroup, direction: Direction, places: RealArray
+) -> tuple[list[str], RealArray]:
+    """The modes of a link in one direction, and their strains of the outer fibre (modes, places) [1/m].
+
+    Args:
+        scene: the robot.
+        link, group: one of `LINKS`.
+        direction: ``bending`` or ``axial``.
+        places: distances from the link's base (places,), relative to its length.
+    """
+    shapes = scene_shapes(scene).get((group, direction), ())
+    names = [f"{link}.{direction}[{k}]" for k in range(1, len(shapes) + 1)]
+    section = getattr(scene.mechanism, group)
+    lever = 0.5 * section.diameter / section.length if direction == "bending" else 1.0
+    return names, lever / section.length * np.array([shape.strain(places) for shape in shapes]).reshape(-1, places.size)

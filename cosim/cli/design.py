@@ -625,8 +625,9 @@ def plan(
         stiffness_band (FRACTION): Relative change of Young's modulus to both sides. Default: the scene's, or 0.
         damping_band (FRACTION): Relative change of the damping to both sides. Default: the scene's, or 0.
         limit (NAME=VALUE): A limit in SI units, torque=80, as a multiple of the given motion's, jerk=2.5x, or power=free: torque, speed,
-            acceleration, jerk, rms_torque, power, energy, supply_power, regenerated_power, reaction, stress, off_path; may be
-            repeated. Default: torque=1x, rms_torque=1x, power=1x, speed=2.5x, acceleration=2.5x, jerk=2.5x.
+            acceleration, jerk, rms_torque, power, energy, supply_power, regenerated_power, regenerated_energy, motor_torque,
+            motor_rms_torque, motor_speed, reaction, stress, off_path; may be repeated. Default: speed=2.5x, acceleration=2.5x, jerk=2.5x and
+            what the section `motor` says, without it torque=1x, rms_torque=1x, power=1x.
         margin (METRES): How far the motion may enter the keep-out region. Default: the scene's, or 1e-4.
         corridor (METRES): How far the motion may leave the given path to the outside. Default: the scene's, or 0.01.
         return_payload (KG): Plan a cycle: the way back too, with this payload, 0 for an empty return. RMS torques and energy are limited over

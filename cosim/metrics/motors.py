@@ -154,9 +154,10 @@ class MotorLimit:
     """A limit of a motor, and how near the run comes to it.
 
     Attributes:
-        name: `peak torque`, `RMS torque` or `speed`.
+        name: `peak torque`, `RMS torque` or `speed`; with a torque-speed curve `torque at speed`, with a thermal time constant `heat`.
         unit: of value and limit.
-        value: largest magnitude in the run, at the motor's shaft.
+        value: largest magnitude in the run, at the motor's shaft; of the heat the largest temperature, when the run is repeated for ever,
+            relative to that under the continuous torque.
         limit: what the motor can do.
         time: when the value is reached [s]; None for a mean.
         position: the rigid end effector then [m].
@@ -182,7 +183,7 @@ class MotorLoad:
     Attributes:
         joint: 1 or 2.
         motor: the motor.
-        margins: peak torque, RMS torque and speed.
+        margins: peak torque, RMS torque and speed, and what the motor's data sheet knows besides.
         inertia_ratio: largest inertia of the load, reflected to the shaft, over that of the rotor; None without a rotor inertia.
         rms_current, peak_current: [A]; None without a torque constant.
         copper_loss: mean loss i² R of the winding [W]; None without a resistance.
@@ -295,11 +296,21 @@ def _load(run: Run, joint: int, motor: Motor, inertia: float) -> MotorLoad:
     pieces = Pieces(start, duration, at_shaft, ratio * control[..., 1])
     (torque, torque_time), (speed, speed_time) = pieces.peak(pieces.torque), pieces.peak(pieces.speed)
     rms = math.sqrt(max(pieces.mean(pieces.square), 0.0))
-    margins = (
+    margins = [
         MotorLimit("peak torque", "N.m", torque, motor.peak_torque, torque_time, _position(run, torque_time)),
         MotorLimit("RMS torque", "N.m", rms, motor.continuous_torque),
         MotorLimit("speed", "rad/s", speed, motor.maximum_speed, speed_time, _position(run, speed_time)),
-    )
+    ]
+    if motor.torque_speed_curve:
+        values = np.abs(_sampled(pieces.torque))
+        largest = motor.largest_torque(_sampled(pieces.speed).ravel())[0].reshape(values.shape)
+        sample, piece = np.unravel_index(int(np.argmax(values / largest)), values.shape)
+        time = float(start[piece] + SAMPLES[sample] * duration[piece])
+        worst = float(values[sample, piece]), float(largest[sample, piece])
+        margins.append(MotorLimit("torque at speed", "N.m", *worst, time, _position(run, time)))
+    if motor.thermal_time_constant is not None:
+        heat = _largest_temperature(pieces, motor.thermal_time_constant) / motor.continuous_torque**2
+        margins.append(MotorLimit("heat", "1", heat, 1.0))
     # currents, losses i² R and power of the supply
     constant, resistance = motor.torque_constant, motor.winding_resistance
     loss = mean = highest = None
@@ -310,7 +321,7 @@ def _load(run: Run, joint: int, motor: Motor, inertia: float) -> MotorLoad:
     return MotorLoad(
         joint=number,
         motor=motor,
-        margins=margins,
+        margins=tuple(margins),
         inertia_ratio=_ratio(motor, inertia),
         rms_current=None if constant is None else rms / constant,
         peak_current=None if constant is None else torque / constant,
@@ -319,6 +330,18 @@ def _load(run: Run, joint: int, motor: Motor, inertia: float) -> MotorLoad:
         peak_electrical_power=highest,
         **pieces.curves(),
     )
+
+
+def _largest_temperature(pieces: Pieces, time_constant: float) -> float:
+    """Largest value of a first-order lag of the torque's square, when the pieces are repeated for ever [N² m²]."""
+    # a piece is short: its mean stands for its course
+    squares, keep = pieces.square.mean(axis=0), np.exp(-pieces.duration / time_constant)
+    decay, from_rest, now = float(np.prod(keep)), list[float](), 0.0
+    for square, each in zip(squares.tolist(), keep.tolist(), strict=True):
+        now = each * now + (1.0 - each) * square
+        from_rest.append(now)
+    start = now / (1.0 - decay)
+    return float((np.array(from_rest) + start * np.cumprod(keep)).max(initial=start))
 
 
 def _position(run: Run, time: float) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.signals import segments
-from flexfmu.model.beams import Direction, LinkGroup, scene_shapes
+from flexfmu.model.beams import LINKS, Direction, LinkGroup, fibre_strains
 from flexfmu.model.scene.schema import Scene
 
 PLACES = np.linspace(0.0, 1.0, 101)
@@ -31,14 +31,6 @@ INSTANTS = np.linspace(0.0, 1.0, 5)
 
 BLOCK = 5000
 """Instants that are evaluated at once, for little memory."""
-
-LINKS: tuple[tuple[str, LinkGroup], ...] = (
-    ("link11", "proximal"),
-    ("link21", "proximal"),
-    ("link12", "distal"),
-    ("link22", "distal"),
-)
-"""Names of the links and their groups."""
 
 
 @dataclass(frozen=True)
@@ -132,19 +124,10 @@ _Family = tuple[Sequence[str], RealArray]
 
 def _family(recording: Recording, scene: Scene, link: str, group: LinkGroup, direction: Direction) -> _Family | None:
     """Return the modes of a link in one direction; None if it is rigid there, or they were not recorded."""
-    names, strains = _strains(scene, link, group, direction, PLACES)
+    names, strains = fibre_strains(scene, link, group, direction, PLACES)
     if not names or any(name not in recording.columns for name in names):
         return None
     return names, scene.mechanism.material.youngs_modulus * strains
-
-
-def _strains(scene: Scene, link: str, group: LinkGroup, direction: Direction, places: RealArray) -> _Family:
-    """Return the modes of a link in one direction, and their strains of the outer fibre (modes, places) [1/m]."""
-    shapes = scene_shapes(scene).get((group, direction), ())
-    names = [f"{link}.{direction}[{k}]" for k in range(1, len(shapes) + 1)]
-    section = getattr(scene.mechanism, group)
-    lever = 0.5 * section.diameter / section.length if direction == "bending" else 1.0
-    return names, lever / section.length * np.array([shape.strain(places) for shape in shapes]).reshape(-1, places.size)
 
 
 def strain_gains(scene: Scene, link: str, place: float) -> dict[str, float]:
@@ -162,7 +145,7 @@ def strain_gains(scene: Scene, link: str, place: float) -> dict[str, float]:
         raise InputError(f"{link}.strain[{place:g}]: the place goes from 0, the link's base, to 1, its tip")
     found, at = dict[str, float](), np.array([place])
     for direction in ("bending", "axial"):
-        names, gains = _strains(scene, link, dict(LINKS)[link], direction, at)
+        names, gains = fibre_strains(scene, link, dict(LINKS)[link], direction, at)
         found |= zip(names, gains[:, 0].tolist(), strict=True)
     if not found:
         raise InputError(f"{link}.strain[{place:g}]: {link} is rigid in scene {scene.name}: give it modes in [effects]")

@@ -21,6 +21,7 @@ import casadi
 import numpy as np
 from scipy.linalg import eigh
 
+from flexfmu.model.beams import LINKS, fibre_strains
 from flexfmu.model.five_bar import FiveBar, assemble
 from flexfmu.model.radau import radau
 from flexfmu.model.reference_design.joint_spline import DesignedMotion
@@ -65,6 +66,7 @@ class Response:
         end: elastic coordinates and their rates at the end of the motion (P, 2, n) [m, m/s].
         position_by, torque_by: derivatives (P, N, 2, m); m is 0 where none are wanted.
         end_by: derivatives (P, 2, n, m).
+        loads, loads_by: the further outputs (P, N, r) that were asked for, and their derivatives (P, N, r, m).
     """
 
     position: RealArray
@@ -73,6 +75,8 @@ class Response:
     position_by: RealArray
     torque_by: RealArray
     end_by: RealArray
+    loads: RealArray
+    loads_by: RealArray
 
 
 class ElasticResponse:
@@ -86,6 +90,7 @@ class ElasticResponse:
         evaluate: makes functions that are evaluated at many points at once, by numpy or compiled.
         accuracy: change of an elastic coordinate [m or rad] below which Newton's method ends.
         shared: number of steps, a divisor of all, that share a matrix of Newton's method where no derivatives are wanted.
+        loads: further outputs, in the order of `LINK_LOADS`.
 
     Raises:
         SceneError: a parameter doesn't exist.
@@ -101,8 +106,9 @@ class ElasticResponse:
         evaluate: Evaluate = Vectorised,
         accuracy: float = CONVERGED,
         shared: int = 1,
+        loads: tuple[str, ...] = (),
     ) -> None:
-        self.model = VariantModel(scene, variants, evaluate)
+        self.model = VariantModel(scene, variants, evaluate, loads)
         self.steps, self._accuracy, self._shared = steps, accuracy, shared
         self.fractions = ((np.arange(steps)[:, np.newaxis] + METHOD.nodes) / steps).ravel()
         self._start = self.model.rest(start).elastic
@@ -145,10 +151,11 @@ class ElasticResponse:
         q_end, rate_end = (each[:, -1] for each in self._integrated(z))
         end = np.stack([q_end, rate_end / duration], axis=1)
         if matrices is None:
-            none = np.empty((*values.shape[:2], 2, 0))
-            return Response(values[..., n + 2 :], values[..., n : n + 2], end, none, none, np.empty((*end.shape, 0)))
-        out, end_by = matrices.derivatives(by, end[:, 1], by_duration)
-        return Response(values[..., n + 2 :], values[..., n : n + 2], end, out[:, :, 2:], out[:, :, :2], end_by)
+            out, end_by = np.empty((*values.shape[:2], values.shape[2] - n, 0)), np.empty((*end.shape, 0))
+        else:
+            out, end_by = matrices.derivatives(by, end[:, 1], by_duration)
+        torque, position, loads = np.split(values[..., n:], (2, 4), axis=2)
+        return Response(position, torque, end, out[:, :, 2:4], out[:, :, :2], end_by, loads, out[:, :, 4:])
 
     def transfer(self, duration: float) -> RealArray:
         """Elastic coordinates and rates at the end of the last motion by those at its start, (P, 2, n, 2, n)."""
@@ -214,7 +221,7 @@ class _Matrices:
     """The linearised equations of all steps: loads on the stages and the state s = [q, q'] at the start of a step give the next one.
 
     Args:
-        values, jacobian: [forces, torques, position] (P, N, n + 4) and their derivatives by [q, v, a, u], (P, N, n + 4, 3 n + 6).
+        values, jacobian: [forces, k outputs] (P, N, n + k) and their derivatives by [q, v, a, u], (P, N, n + k, 3 n + 6).
         v, a: elastic rates and accelerations at the stages (P, N, n).
         duration: T [s].
         steps: number of steps; if they are more than N / 3, as many follow each other with the same equations.
@@ -224,10 +231,10 @@ class _Matrices:
         self, values: RealArray, jacobian: RealArray, v: RealArray, a: RealArray, duration: float, steps: int
     ) -> None:
         self.values, self._duration = values, duration
-        (count, stages, n), h = v.shape, 1.0 / steps
+        (count, stages, n), h, rows = v.shape, 1.0 / steps, values.shape[2]
         self._steps, steps = steps, stages // 3
         self._shape = (count, steps, 3, n)
-        by_stage = jacobian.reshape(count, steps, 3, n + 4, 3 * n + 6)
+        by_stage = jacobian.reshape(count, steps, 3, rows, 3 * n + 6)
         by_q, by_v, by_a = (by_stage[..., i * n : (i + 1) * n] / duration**i for i in range(3))
         # d[forces, outputs] of stage i by z of stage j, and by the state at the start of the step
         by_z = h * h * METHOD.twice[:, np.newaxis, :, np.newaxis] * by_q[..., np.newaxis, :]
@@ -235,7 +242,7 @@ class _Matrices:
         for i in range(3):
             by_z[:, :, i, :, i] += by_a[:, :, i]
         by_state = np.concatenate([by_q, by_v + h * METHOD.nodes[:, np.newaxis, np.newaxis] * by_q], axis=-1)
-        by_z = by_z.reshape(count, steps, 3, n + 4, 3 * n)
+        by_z = by_z.reshape(count, steps, 3, rows, 3 * n)
         self._inverse = np.linalg.inv(by_z[:, :, :, :n].reshape(count, steps, 3 * n, 3 * n))
         self._of_state = by_state[:, :, :, :n].reshape(count, steps, 3 * n, 2 * n)
         # from stage values to the next state, and from state to state
@@ -257,7 +264,7 @@ class _Matrices:
         return (self._inverse @ (right - self._of_state @ states)).swapaxes(2, 3).reshape(loads.shape)
 
     def derivatives(self, by: RealArray, rate: RealArray, by_duration: bool) -> tuple[RealArray, RealArray]:
-        """Derivatives of [torques, position] (P, N, 4, m) and of the end state (P, 2, n, m).
+        """Derivatives of the outputs (P, N, k, m) and of the end state (P, 2, n, m).
 
         Args:
             by: derivatives of the references (N, 6, m).
@@ -267,7 +274,8 @@ class _Matrices:
         count, steps, _, n = self._shape
         assert self.outputs is not None
         (out_z, out_state, by_stage, v, a), self.outputs = self.outputs, None
-        out_z, out_state = out_z.reshape(count, steps, 12, 3 * n), out_state.reshape(count, steps, 12, 2 * n)
+        k = self.values.shape[2] - n
+        out_z, out_state = out_z.reshape(count, steps, 3 * k, 3 * n), out_state.reshape(count, steps, 3 * k, 2 * n)
         explicit = by_stage[..., 3 * n :] @ by.reshape(1, steps, 3, 6, -1)
         if by_duration:
             # at constant z
@@ -280,12 +288,12 @@ class _Matrices:
         # outputs: z eliminated
         through = out_z @ self._inverse
         out = through @ loads + (out_state - through @ self._of_state) @ states[:, :-1]
-        out = out.reshape(count, steps, 3, 4, m) + explicit[..., n:, :]
+        out = out.reshape(count, steps, 3, k, m) + explicit[..., n:, :]
         end = states[:, -1].reshape(count, 2, n, m).copy()
         end[:, 1] /= self._duration
         if by_duration:
             end[:, 1, :, -1] -= rate / self._duration
-        return out.reshape(count, 3 * steps, 4, m), end
+        return out.reshape(count, 3 * steps, k, m), end
 
     def transfer(self) -> RealArray:
         """The last state by the first, (P, 2 n, 2 n)."""
@@ -308,13 +316,15 @@ class FleetResponse:
 
     Args:
         robots: the robots; those of one scene follow each other.
-        start, steps: see `ElasticResponse`.
+        start, steps, loads: see `ElasticResponse`.
 
     Raises:
         SceneError, EquilibriumError: see `ElasticResponse`.
     """
 
-    def __init__(self, robots: Sequence[RobotVariant], start: RealArray, steps: int) -> None:
+    def __init__(
+        self, robots: Sequence[RobotVariant], start: RealArray, steps: int, loads: tuple[str, ...] = ()
+    ) -> None:
         scenes = [[*group] for _, group in groupby(robots, key=lambda each: id(each.scene))]
         groups = [group[k : k + TOGETHER] for group in scenes for k in range(0, len(group), TOGETHER)]
         self.parts = [
@@ -326,6 +336,7 @@ class FleetResponse:
                 group[0].evaluate,
                 NEARLY,
                 math.gcd(steps, SHARED),
+                loads,
             )
             for group in groups
         ]
@@ -352,6 +363,9 @@ def joined(arrays: Sequence[RealArray]) -> RealArray:
         first += len(each)
     return whole
 
+
+PLACES = 5
+"""Number of places of a link, equally spaced from its base to its tip, at which stresses are outputs; the largest are at the base and the middle."""
 
 AT_ROUNDING = 1e-13
 """Change [m or rad] below which a static equilibrium is found."""
@@ -380,7 +394,7 @@ class Rest:
         elastic: elastic coordinates (P, n).
         position: end effector (P, 2) [m].
         torque: motor torques (P, 2) [N m].
-        jacobian: derivatives of [forces, torques, position] by [q, v, a, u], (P, n + 4, 3 n + 6).
+        jacobian: derivatives of [forces, torques, position, loads] by [q, v, a, u], (P, n + k, 3 n + 6).
     """
 
     elastic: RealArray
@@ -411,18 +425,25 @@ class VariantModel:
         scene: the robot.
         variants: values of the FMU's parameters that differ from the scene's, by name.
         evaluate: makes functions that are evaluated at many points at once.
+        loads: further outputs, in the order of `LINK_LOADS`.
 
     Raises:
         SceneError: a parameter doesn't exist.
     """
 
-    def __init__(self, scene: Scene, variants: Sequence[Mapping[str, float]], evaluate: Evaluate = Vectorised) -> None:
-        functions = _functions(scene, evaluate)
+    def __init__(
+        self,
+        scene: Scene,
+        variants: Sequence[Mapping[str, float]],
+        evaluate: Evaluate = Vectorised,
+        loads: tuple[str, ...] = (),
+    ) -> None:
+        functions = _functions(scene, evaluate, loads)
         self.n, self._values, self._linear = functions.n, functions.values, functions.linear
         self.parameters = functions.parameters(variants)
 
     def values(self, q: RealArray, v: RealArray, a: RealArray, references: RealArray) -> RealArray:
-        """[forces, torques, position] at N instants of all variants, (P, N, n + 4).
+        """[forces, torques, position, loads] at N instants of all variants, (P, N, n + k).
 
         Args:
             q, v, a: elastic coordinates, rates and accelerations (P, N, n).
@@ -433,10 +454,10 @@ class VariantModel:
     def linearised(
         self, q: RealArray, v: RealArray, a: RealArray, references: RealArray
     ) -> tuple[RealArray, RealArray]:
-        """The same, and the derivatives by [q, v, a, references], (P, N, n + 4, 3 n + 6)."""
+        """The same, and the derivatives by [q, v, a, references], (P, N, n + k, 3 n + 6)."""
         values, by_columns = self._evaluated(self._linear, q, v, a, references)
         # CasADi's matrices lie column by column
-        by = by_columns.reshape(*values.shape[:2], 3 * self.n + 6, self.n + 4).swapaxes(-1, -2)
+        by = by_columns.reshape(*values.shape[:2], 3 * self.n + 6, values.shape[2]).swapaxes(-1, -2)
         return values, np.ascontiguousarray(by)
 
     def rest(self, joints: RealArray) -> Rest:
@@ -455,7 +476,7 @@ class VariantModel:
             if not np.isfinite(size):
                 break
             if size < AT_ROUNDING:
-                return Rest(q[:, 0], values[:, 0, n + 2 :], values[:, 0, n : n + 2], jacobian[:, 0])
+                return Rest(q[:, 0], values[:, 0, n + 2 : n + 4], values[:, 0, n : n + 2], jacobian[:, 0])
             q[:, 0] -= change
         raise EquilibriumError(
             f"no static equilibrium with the motors at q11 = {joints[0]:.6g} rad, q21 = {joints[1]:.6g} rad: the pose may be "
@@ -480,7 +501,7 @@ def free_modes(rest: Rest) -> FreeModes:
     for jacobian in rest.jacobian:
         stiffness, mass = jacobian[:n, :n], jacobian[:n, 2 * n : 3 * n]
         squares, shapes = eigh(0.5 * (stiffness + stiffness.T), 0.5 * (mass + mass.T))
-        found.append((np.sqrt(squares), shapes.T @ mass, jacobian[n + 2 :, :n] @ shapes))
+        found.append((np.sqrt(squares), shapes.T @ mass, jacobian[n + 2 : n + 4, :n] @ shapes))
     frequencies, coordinates, displacements = (np.array(each) for each in zip(*found, strict=True))
     return FreeModes(frequencies, coordinates, displacements)
 
@@ -501,7 +522,7 @@ class _Functions:
     Attributes:
         scene, five_bar: the robot.
         n: number of elastic coordinates.
-        values: [forces, torques, position] by [q], [v], [a], [q_a, v_a, a_a] and the derived parameters.
+        values: [forces, torques, position, loads] by [q], [v], [a], [q_a, v_a, a_a] and the derived parameters.
         linear: the same, and their derivatives by all but the parameters.
         derive: derived parameters of the parameters.
     """
@@ -523,12 +544,44 @@ class _Functions:
         return np.array([self.derive(list((start | dict(variant)).values())).full().ravel() for variant in variants])
 
 
+def _reactions(scene: Scene, five_bar: FiveBar) -> casadi.SX:
+    """Magnitudes (4,) of the forces in the elbows and between the legs and the end effector [N]."""
+    return casadi.vertcat(
+        *(casadi.sqrt(casadi.sumsqr(each)) for each in (*five_bar.forces.elbows, *five_bar.forces.pulls))
+    )
+
+
+def _stresses(scene: Scene, five_bar: FiveBar) -> casadi.SX:
+    """Stresses [Pa] of both outer fibres of the four links at `PLACES`; zero where links are rigid."""
+    places, found = np.linspace(0.0, 1.0, PLACES), list[casadi.SX]()
+    q = dict(zip(five_bar.robot.elastic_names, casadi.vertsplit(five_bar.elastic), strict=True))
+    for link, group in LINKS:
+        modulus = five_bar.registry.derived("youngs_modulus", five_bar.links[group].youngs_modulus)
+        bending, axial = casadi.SX.zeros(PLACES), casadi.SX.zeros(PLACES)
+        for name, gain in zip(*fibre_strains(scene, link, group, "bending", places), strict=True):
+            bending += q[name] * casadi.DM(gain)
+        for name, gain in zip(*fibre_strains(scene, link, group, "axial", places), strict=True):
+            axial += q[name] * casadi.DM(gain)
+        found += [modulus * (axial + bending), modulus * (axial - bending)]
+    return casadi.vertcat(*found)
+
+
+LINK_LOADS: Mapping[str, tuple[int, Callable[[Scene, FiveBar], casadi.SX]]] = {
+    "reaction": (4, _reactions),
+    "stress": (8 * PLACES, _stresses),
+}
+"""Loads of joints and links that a response can have → how many there are, and their expressions."""
+
+
 @lru_cache(maxsize=8)
-def _functions(scene: Scene, evaluate: Evaluate) -> _Functions:
+def _functions(scene: Scene, evaluate: Evaluate, loads: tuple[str, ...] = ()) -> _Functions:
     five_bar = assemble(scene)
+    further = [LINK_LOADS[name][1](scene, five_bar) for name in loads]
     motion, parameters = five_bar.motion, five_bar.registry.d
     arguments = [motion.q_e, motion.v_e, motion.a_e, casadi.vertcat(motion.q_a, motion.v_a, motion.a_a)]
-    results = casadi.densify(casadi.vertcat(five_bar.forces.elastic, five_bar.forces.motors, five_bar.position))
+    results = casadi.densify(
+        casadi.vertcat(five_bar.forces.elastic, five_bar.forces.motors, five_bar.position, *further)
+    )
     jacobian = casadi.densify(casadi.jacobian(results, casadi.vertcat(*arguments)))
     values = casadi.Function("values", [*arguments, parameters], [casadi.cse(results)])
     linear = casadi.Function("linear", [*arguments, parameters], casadi.cse([results, jacobian]))

@@ -145,20 +145,26 @@ Limit = Annotated[Positive | Ratio | Literal["free"] | None, BeforeValidator(_li
 class PlanLimits(Section):
     """Limits of the planned motion, in SI units or as `{ ratio = 1.0 }` of what the given motion needs.
 
-    The default keeps torques, their RMS values and the power of each motor to those of the given motion at the same payload, and the
-    references to 2.5 times its speed, acceleration and jerk. ``supply_power`` and ``regenerated_power`` are those of both motors together,
-    ``energy`` what they give in a run, without what they take back.
+    The default keeps the references to 2.5 times the given motion's speed, acceleration and jerk, and the motors to what the section
+    `motor` says or, without it, torques, their RMS values and the power of each motor to those of the given motion at the same payload.
+    ``supply_power`` and ``regenerated_power`` are those of both motors together, ``energy`` what they give in a run, without what they take
+    back, and ``regenerated_energy`` what flows back. ``motor_torque``, ``motor_rms_torque`` and ``motor_speed`` are those of the shafts,
+    relative to what the motors can.
     """
 
-    torque: Annotated[Limit, quantity("N.m")] = Ratio(ratio=1.0)
+    torque: Annotated[Limit, quantity("N.m")] = None
     speed: Annotated[Limit, quantity("rad/s")] = Ratio(ratio=2.5)
     acceleration: Annotated[Limit, quantity("rad/s2")] = Ratio(ratio=2.5)
     jerk: Annotated[Limit, quantity("rad/s3")] = Ratio(ratio=2.5)
-    rms_torque: Annotated[Limit, quantity("N.m")] = Ratio(ratio=1.0)
-    power: Annotated[Limit, quantity("W")] = Ratio(ratio=1.0)
+    rms_torque: Annotated[Limit, quantity("N.m")] = None
+    power: Annotated[Limit, quantity("W")] = None
+    motor_torque: Annotated[Limit, quantity("1")] = None
+    motor_rms_torque: Annotated[Limit, quantity("1")] = None
+    motor_speed: Annotated[Limit, quantity("1")] = None
     energy: Annotated[Limit, quantity("J")] = None
     supply_power: Annotated[Limit, quantity("W")] = None
     regenerated_power: Annotated[Limit, quantity("W")] = None
+    regenerated_energy: Annotated[Limit, quantity("J")] = None
     reaction: Annotated[Limit, quantity("N")] = None
     stress: Annotated[Limit, quantity("Pa")] = None
     off_path: Annotated[Positive | None, quantity("m")] = None

@@ -27,6 +27,7 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal, about_scene
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metrics import joint_speed, product
+from flexfmu.cosim.metrics.motors import motor_loads
 from flexfmu.cosim.metrics.segments import Analysis, HermiteSegments
 from flexfmu.cosim.metrics.signals import TORQUES, segments
 from flexfmu.cosim.metrics.stress import link_stresses
@@ -148,6 +149,9 @@ class Peaks:
         residual: largest distance from the rest position after the motion [m].
         energy: mechanical energy that the motors give, without what they take back [J].
         supply_power, regenerated_power: largest power of both motors together, into the robot and out of it [W].
+        regenerated_energy: what flows out of it [J].
+        motor_torque, motor_rms_torque, motor_speed: of the shafts, relative to what the motors can: the torque at its speed, the RMS torque
+            that heats them as much; 0 without a section `motor`.
         off_path: largest distance of the end effector from the given path [m], and when [s].
         clearance: smallest distance to the keep-out region [m], and when [s].
         reaction: largest force in a joint [N]; NaN if it isn't limited.
@@ -163,6 +167,10 @@ class Peaks:
     energy: float
     supply_power: float
     regenerated_power: float
+    regenerated_energy: float
+    motor_torque: tuple[float, float]
+    motor_rms_torque: tuple[float, float]
+    motor_speed: tuple[float, float]
     off_path: tuple[float, float]
     clearance: tuple[float, float]
     reaction: float
@@ -344,6 +352,15 @@ class Judge:
                 )
             torque = [max((peaks.torque[k], peaks.torque_time[k]) for peaks in each) for k in range(2)]
             squares = np.average([np.square(peaks.rms_torque) for peaks in each], axis=0, weights=times)
+            motors = np.average(
+                [
+                    np.square(peaks.motor_rms_torque) / self._heating(time)
+                    for peaks, time in zip(each, times, strict=True)
+                ],
+                axis=0,
+                weights=times,
+            )
+            heat = np.sqrt(motors * self._heating(sum(times)))
             found.append(
                 Peaks(
                     first,
@@ -355,6 +372,16 @@ class Judge:
                     energy=sum(peaks.energy for peaks in each),
                     supply_power=max(peaks.supply_power for peaks in each),
                     regenerated_power=max(peaks.regenerated_power for peaks in each),
+                    regenerated_energy=sum(peaks.regenerated_energy for peaks in each),
+                    motor_torque=(
+                        max(peaks.motor_torque[0] for peaks in each),
+                        max(peaks.motor_torque[1] for peaks in each),
+                    ),
+                    motor_rms_torque=(float(heat[0]), float(heat[1])),
+                    motor_speed=(
+                        max(peaks.motor_speed[0] for peaks in each),
+                        max(peaks.motor_speed[1] for peaks in each),
+                    ),
                     off_path=max(peaks.off_path for peaks in each),
                     clearance=min(peaks.clearance for peaks in each),
                     reaction=max(peaks.reaction for peaks in each),
@@ -403,10 +430,20 @@ class Judge:
             rest = points[-1]
             residual = float(np.hypot(*(points[recording.time >= end + wait] - rest).T).max())
         # over the pause of a cycle instead of the dwell, at the end of which the robot rests
-        rms = np.array([float(metrics[f"rms_torque_{joint}"]) for joint in (1, 2)])
-        if (pause := self.goals.pause) is not None:
-            dwell, holding = recording.time[-1] - end, np.array([each[-1] for each in torques])
-            rms = np.sqrt((rms**2 * (end + dwell) + holding**2 * (pause - dwell)) / (end + pause))
+        rms, dwell = np.array([float(metrics[f"rms_torque_{joint}"]) for joint in (1, 2)]), recording.time[-1] - end
+        pause, holding = (
+            (dwell if self.goals.pause is None else self.goals.pause),
+            np.array([each[-1] for each in torques]),
+        )
+        rms = np.sqrt((rms**2 * (end + dwell) + holding**2 * (pause - dwell)) / (end + pause))
+        motor = np.zeros((3, 2))
+        for k, load in enumerate(motor_loads(run)):
+            use = {margin.name: margin.use for margin in load.margins}
+            at_rest = holding[k] / load.motor.gear_ratio / load.motor.continuous_torque
+            square = (use["RMS torque"] ** 2 * (end + dwell) + at_rest**2 * (pause - dwell)) / (end + pause)
+            motor[:, k] = max(use["peak torque"], use.get("torque at speed", 0.0)), math.sqrt(square), use["speed"]
+        motor[1] *= np.sqrt(self._heating(end + pause))
+        motor_torque, motor_rms, motor_speed = ((float(one), float(other)) for one, other in motor)
         # forces in elbows and between the legs and the end effector; no stress in rigid links
         reaction = stress = math.nan
         if "reaction" in self.goals.limits:
@@ -425,11 +462,19 @@ class Judge:
             residual,
             float(metrics["positive_energy_1"]) + float(metrics["positive_energy_2"]),
             *_both_powers(recording, run.plan.joints),
+            motor_torque,
+            motor_rms,
+            motor_speed,
             (float(off.max()), float(recording.time[off.argmax()])),
             (float(clear.min()), float(recording.time[clear.argmin()])),
             reaction,
             stress,
         )
+
+    def _heating(self, period: float) -> RealArray:
+        """What a mean square over a period [s] counts for the temperature of both motors (2,), see `Motor.heating`."""
+        drives = self.goals.drives
+        return np.ones(2) if drives is None else period * np.array([each.heating(period)[0] for each in drives.motors])
 
     def _off_path(self, points: RealArray) -> RealArray:
         """Distances (N,) [m] of points from the given path."""
@@ -507,18 +552,18 @@ def _left_vibration(
     )
 
 
-def _both_powers(recording: Recording, joints: Trajectory) -> tuple[float, float]:
-    """Largest power of both motors together into the robot, and out of it [W]."""
+def _both_powers(recording: Recording, joints: Trajectory) -> tuple[float, float, float]:
+    """Largest power of both motors together into the robot, and out of it [W], and the energy that flows out [J]."""
     powers = []
     for joint in range(2):
         speed = joint_speed(recording, joint, joints)
         assert speed is not None  # it is planned
         powers.append(product(segments(recording, TORQUES[joint : joint + 1]), speed))
     one, other = powers
-    into, out, *_ = Analysis(
+    into, out, _, back, *_ = Analysis(
         HermiteSegments(one.start, one.end, one.left + other.left, one.right + other.right)
     ).parts()
-    return into, out
+    return into, out, back
 
 
 def needs(figure: str, found: Assessment, given: Assessment) -> Iterator[tuple[float, float, str]]:
@@ -531,7 +576,7 @@ def needs(figure: str, found: Assessment, given: Assessment) -> Iterator[tuple[f
         need, usual = getattr(each, figure), getattr(own, figure)
         if figure == "off_path":
             yield need[0], usual[0], f"{need[1]:.4g} s, {each.variation}"
-        elif figure in ("torque", "rms_torque", "power"):
+        elif isinstance(need, tuple):
             for k in range(2):
                 when = f", {each.torque_time[k]:.4g} s" if figure == "torque" else ""
                 yield need[k], usual[k], f"joint {k + 1}, {each.variation}{when}"

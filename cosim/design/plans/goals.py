@@ -17,6 +17,7 @@ from flexfmu.cosim.design.plans.clearance import Clearance, Polygon, clearance_o
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.cycles import Reversed
 from flexfmu.cosim.experiment.planning import MotionPlan, plan, plan_own
+from flexfmu.model.reference_design.optimal_control import Drives
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.scene.plan import PlanSection, Ratio, TargetSection
 from flexfmu.model.scene.schema import Scene
@@ -32,15 +33,22 @@ TRACE = 601
 
 UNITS: Mapping[str, str] = {
     "torque": "N.m", "speed": "rad/s", "acceleration": "rad/s2", "jerk": "rad/s3", "rms_torque": "N.m", "power": "W",
-    "energy": "J", "supply_power": "W", "regenerated_power": "W", "reaction": "N", "stress": "Pa", "off_path": "m", "residual": "m", "clearance": "m",
+    "energy": "J", "supply_power": "W", "regenerated_power": "W", "regenerated_energy": "J", "motor_torque": "1", "motor_rms_torque": "1", "motor_speed": "1", "reaction": "N", "stress": "Pa", "off_path": "m", "residual": "m", "clearance": "m",
 }  # fmt: skip
 """Limit → unit."""
+
+USUAL: Mapping[str, Ratio] = dict.fromkeys(("torque", "rms_torque", "power"), Ratio(ratio=1.0))
+"""Limits where the wishes have none, and the scene no motors."""
+
+OF_MOTORS: Mapping[str, float] = dict.fromkeys(("motor_torque", "motor_rms_torque", "motor_speed"), 1.0)
+"""Those of a scene with motors."""
 
 RATES = ("speed", "acceleration", "jerk")
 """Limits of the joint references, by the order of the derivative."""
 
 FALLING = {"torque": 0.5, "speed": 1.0, "acceleration": 0.5, "jerk": 1.0 / 3.0, "power": 1.0 / 3.0, "rms_torque": 0.5,
-    "energy": 0.5, "supply_power": 1.0 / 3.0, "regenerated_power": 1.0 / 3.0, "residual": 0.1}  # fmt: skip
+    "motor_torque": 0.5, "motor_rms_torque": 0.5, "motor_speed": 1.0, "reaction": 0.5, "stress": 0.5,
+    "energy": 0.5, "regenerated_energy": 0.5, "supply_power": 1.0 / 3.0, "regenerated_power": 1.0 / 3.0, "residual": 0.1}  # fmt: skip
 """How the time scales with the use of a limit; the residual vibration falls faster, and only slows a motion down, by and by."""
 
 MET = 1e-5
@@ -137,6 +145,14 @@ class Goals:
     def given(self) -> MotionPlan:
         """The given motion."""
         return plan(self.scene) if self.own is None else plan_own(self.scene, self.own)
+
+    @property
+    def drives(self) -> Drives | None:
+        """The motors; None if the scene has none."""
+        motor = self.scene.motor
+        if motor is None:
+            return None
+        return Drives((motor.of_joint(0), motor.of_joint(1)), self.scene.effects.motor_inertia)
 
     @cached_property
     def band(self) -> tuple[float, float]:
@@ -238,12 +254,21 @@ def _goals_of_motion(scene: Scene) -> Goals:
             f"leave the band out, or set `effects.damping`"
         )
     longer, empty = judged_scene(scene, wishes), not scene.payload.mass and payload_band(scene, wishes)[1] > 0.0
+    asked: dict[str, Any] = {
+        **(USUAL if scene.motor is None else OF_MOTORS),
+        **wishes.limits.model_dump(exclude_none=True),
+    }
+    for name in OF_MOTORS if scene.motor is None else ():
+        if name in asked:
+            raise InputError(
+                f"`plan.limits.{name}` is relative to what the motors can, and scene {scene.name} has none: add a section `motor`"
+            )
     limits = {
         name: Limit(name, value.ratio, "1", is_relative=True, rounding=MET)
         if isinstance(value, Ratio)
         else Limit(name, value, UNITS[name], rounding=MET)
         for name in type(wishes.limits).model_fields
-        if (value := getattr(wishes.limits, name)) not in (None, "free")
+        if (value := getattr(wishes.limits, name) or asked.get(name)) not in (None, "free")
     }
     return Goals(longer, wishes, limits, _clearance(longer, wishes), 0.0 if empty else None)
 
@@ -355,9 +380,9 @@ def check_holding_torque(goals: Goals, given: Mapping[Variation, tuple[float, fl
     Raises:
         InputError: they can't; no motion keeps to the limit then.
     """
-    limit = goals.limits.get("torque")
-    if limit is None or (limit.is_relative and given is None):
-        return
+    limit, drives = goals.limits.get("torque"), goals.drives
+    if limit is not None and limit.is_relative and given is None:
+        limit = None
     robots = goals.variations(2) if given is None else given
     motion = goals.given.once
     for name, instant in (("start", 0.0), ("end", motion.duration)):
@@ -365,6 +390,17 @@ def check_holding_torque(goals: Goals, given: Mapping[Variation, tuple[float, fl
         for robot in robots:
             torques = np.abs(static_equilibrium(robot.of(goals.scene), joints).torque)
             for joint, torque in enumerate(torques.tolist()):
+                if drives is not None and "motor_rms_torque" in goals.limits:
+                    motor = drives.motors[joint]
+                    at_shaft = torque / motor.gear_ratio
+                    if at_shaft > motor.continuous_torque:
+                        raise InputError(
+                            f"`motor.continuous_torque` = {motor.continuous_torque:g} N·m is below {at_shaft:.4g} N·m at the shaft of motor "
+                            f"{joint + 1}, which hold {robot} at the {name} of the motion against gravity: take a stronger motor or gear, or "
+                            f"carry less"
+                        )
+                if limit is None:
+                    continue
                 most, wish = limit.limit, f"{limit.limit:g} N·m"
                 if given is not None and limit.is_relative:
                     most = limit.limit * given[robot][joint]

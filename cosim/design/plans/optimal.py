@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, cases_of, needs
-from flexfmu.cosim.design.plans.goals import FALLING, RATES, Goals, Variation
+from flexfmu.cosim.design.plans.goals import FALLING, RATES, UNITS, Goals, Variation
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.planning import plan_rigid
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.model.reference_design import optimal_control
-from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant
+from flexfmu.model.reference_design.elastic_response import LINK_LOADS, ElasticResponse, RobotVariant
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
 from flexfmu.model.reference_design.joint_spline import DesignedMotion, JointSpline, fitted
 from flexfmu.model.reference_design.robust_correction import Tolerances, corrected
@@ -70,11 +70,10 @@ OPTIMISTIC = 0.6
 RETURN = 1e-6
 """Distance from start to end [m] below which a motion returns."""
 
-LOADS = ("rms_torque", "power", "energy", "supply_power", "regenerated_power")
-"""Limits of the motors besides the torque, which the programmes have."""
-
-WITH_TORQUE = ("reaction", "stress")
-"""Limits that the programmes don't know, which fall with the torques."""
+LOADS = tuple(
+    each for each in optimal_control.GROUPS if each in UNITS and each not in ("torque", *RATES, "clearance", "residual")
+)
+"""Limits of motors, joints and links besides the torque, which the programmes have."""
 
 
 CORRECTED_FOR, USED = 16, 0.99
@@ -208,7 +207,7 @@ def _front(
                 ways, loads = _from_motions(unit_ways, unit_loads, excess, splines, slower)
                 next_splines = attempt(("front", number, again), ways, loads, 0.0, NEAR_FRONT)
             else:
-                wide = [replace(way, limits=tightened(way.limits, excess)) for way in unit_ways]
+                wide = [replace(way, limits=way.limits.tightened(excess)) for way in unit_ways]
                 loads = {name: each / excess.get(name, 1.0) for name, each in unit_loads.items()}
                 tries = (
                     attempt(("front", number, share), _from_share(wide, share), loads, optimal_control.LOOSE)
@@ -257,7 +256,7 @@ def _from_motions(
 ) -> tuple[list[optimal_control.Way], dict[str, RealArray]]:
     """The ways with tighter limits, from known motions on."""
     tight = [
-        replace(way, limits=tightened(way.limits, excess), start=each.with_duration(slower * each.duration))
+        replace(way, limits=way.limits.tightened(excess), start=each.with_duration(slower * each.duration))
         for way, each in zip(ways, motions, strict=True)
     ]
     return tight, {name: each / excess.get(name, 1.0) for name, each in loads.items()}
@@ -326,8 +325,7 @@ def _ways(goals: Goals) -> tuple[list[tuple[Robots, NDArray[np.intp]]], list[int
 def excesses(judged: Assessment) -> Mapping[str, float]:
     """Factors above 1 by which limits of the programmes have to be tighter, and by how much ``clearance`` [m], after a motion's runs.
 
-    Torques also stand for limits that the programmes don't know, of forces and stresses, which fall with them. None if the
-    motion keeps all limits, and if it is too far off: through a wall, or where distances from the path are limited.
+    None if the motion keeps all limits, and if it is too far off: through a wall, or where distances from the path are limited.
     """
     missed = {use.figure: use for use in judged.uses if not use.met}
     clearance = missed.pop("clearance", None)
@@ -335,7 +333,7 @@ def excesses(judged: Assessment) -> Mapping[str, float]:
         return {}
     found = dict[str, float]()
     for name, use in missed.items():
-        limit = "torque" if name in WITH_TORQUE else name
+        limit = "speed" if name == "motor_speed" else name
         found[limit] = max(found.get(limit, 1.0), min(SURE * use.share, 2.0 * use.share - 0.999))
     return found if clearance is None else {**found, "clearance": SURE * clearance.value - clearance.limit}
 
@@ -348,12 +346,6 @@ def reserves(judged: Assessment) -> Mapping[str, float]:
     }
     residual = max(shares["residual"], 0.5) / FULL_RESIDUAL
     return found | ({"residual": residual} if residual < 1.0 else {})
-
-
-def tightened(limits: optimal_control.MotionLimits, excess: Mapping[str, float]) -> optimal_control.MotionLimits:
-    """The limits, tighter by `excesses`."""
-    distances = partial(_nearer, limits.distances, -excess.get("clearance", 0.0))
-    return replace(limits.tightened(excess), distances=distances)
 
 
 def _nearer(distances: optimal_control.Distances, allowed: float, points: RealArray) -> tuple[RealArray, RealArray]:
@@ -387,9 +379,13 @@ def limited(
     the limits of the cycle's loads for each case; with walls, what a way passes through counts by the way around it."""
     share, clear, quiet = RESERVE
     speed, acceleration, jerk = (
-        goals.limit(name, np.array(value)).item() for name, value in zip(RATES, given.references, strict=True)
+        goals.limit(name, np.full(2, value)) for name, value in zip(RATES, given.references, strict=True)
     )
-    each_goals = goals.ways or (goals,)
+    drives, each_goals = goals.drives, goals.ways or (goals,)
+    if drives is not None and "motor_speed" in goals.limits:
+        largest = np.array([each.maximum_speed / each.gear_ratio for each in drives.motors])
+        usual_speed = np.array([motor for each in given.peaks for motor in each.motor_speed]).reshape(-1, 2).max(axis=0)
+        speed = np.minimum(speed, largest * goals.limit("motor_speed", usual_speed))
     pauses = [each.scene.trajectory.dwell if each.pause is None else each.pause for each in each_goals]
     names = ["torque", *(name for name in LOADS if name in goals.limits)]
     needs = list[dict[str, RealArray]]()
@@ -402,7 +398,8 @@ def limited(
     for name in names:
         if name in optimal_control.OF_CYCLE:
             whole = np.sum([each[name] for each in needs], axis=0)
-            usual[name] = np.sqrt(whole / time) if name == "rms_torque" else whole
+            is_root, weight = name in optimal_control.ROOTS, optimal_control.weight_of_squares(name, time, drives)[0]
+            usual[name] = np.sqrt(whole * weight) if is_root else whole
         else:
             usual[name] = np.max([each[name] for each in needs], axis=0)
     limits = {name: share * goals.limit(name, each) for name, each in usual.items()}
@@ -420,7 +417,7 @@ def limited(
         distances = partial(_nearer, clearance, clear * goals.wishes.margin)
         own = optimal_control.MotionLimits(
             loads.pop("torque"), speed, acceleration, jerk, quiet * goals.wishes.residual, distances, loads, pause,
-            goals.wishes.settled_within,
+            goals.wishes.settled_within, drives,
         )  # fmt: skip
         start = fitted(of_way.given.once.joints, INTERVALS, side="left")
         ways.append(optimal_control.Way(every, own, start, cases))
@@ -433,16 +430,27 @@ def _given_loads(
     """The largest loads of the given motion at an instant, (P, 2) or (P,), and what it adds to those of a cycle."""
     motion = goals.given.once
     ends = motion.joints.evaluate([0.0, motion.duration], 0, "right")[0]
+    link_loads = tuple(name for name in LINK_LOADS if name in names)
     response = ElasticResponse(
-        robots[0].scene, [each.changes for each in robots], ends[0], GIVEN_STEPS, CompiledAtPoints, shared=GIVEN_SHARED
+        robots[0].scene,
+        [each.changes for each in robots],
+        ends[0],
+        GIVEN_STEPS,
+        CompiledAtPoints,
+        shared=GIVEN_SHARED,
+        loads=link_loads,
     )
     references = motion.joints.evaluate(response.fractions * motion.duration, 2, "left")
-    torque = response.respond(np.hstack(list(references)), motion.duration).torque
-    motors = optimal_control.MotorLoads(response.fractions, response.model.rest(ends[1]).torque, pause)
+    found_response = response.respond(np.hstack(list(references)), motion.duration)
+    motors = optimal_control.MotorLoads(
+        response.fractions, response.model.rest(ends[1]).torque, pause, goals.drives, link_loads
+    )
     units = {name: optimal_control.OF_CYCLE.get(name, name) for name in names}
-    found = motors.of_speeds(units.values(), references[1], motion.duration, torque)
+    found = motors.of_references(units.values(), references, motion.duration, found_response)
     return {
-        name: found[unit] if name in optimal_control.OF_CYCLE else np.abs(found[unit]).max(axis=1)
+        name: found[unit]
+        if name in optimal_control.OF_CYCLE
+        else np.abs(found[unit]).max(axis=(1, 2) if name in link_loads else 1)
         for name, unit in units.items()
     }
 

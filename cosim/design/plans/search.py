@@ -19,7 +19,7 @@ from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.designs import PATHS, Design, FamilyMotion, MotionFamily
 from flexfmu.cosim.design.plans.goals import Goals
-from flexfmu.cosim.design.plans.optimal import PAYLOADS, limited, refined, tightened
+from flexfmu.cosim.design.plans.optimal import PAYLOADS, limited, refined
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.many.executor import mapping
@@ -158,7 +158,7 @@ def _judged(
     yield from refined(Judge(goals, PAYLOADS[0], journal), attempt, made, [way], study.loads, 0.0, ("judged",))
     for share in QUIET if goals.wishes.duration is None else ():
         start = last.with_duration(SLOWER * last.duration)
-        way = replace(way, start=start, limits=tightened(study.way.limits, {"residual": 1.0 / share}))
+        way = replace(way, start=start, limits=study.way.limits.tightened({"residual": 1.0 / share}))
         if (motions := attempt(("quiet", share), [way], study.loads, 0.0)) is not None:
             yield made(motions)
 

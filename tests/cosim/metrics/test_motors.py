@@ -20,6 +20,7 @@ from flexfmu.cosim.reports.plots import motor_plots
 from flexfmu.cosim.reports.summary import motor_rows, summarise
 from flexfmu.model.kinematics import load_mass_matrix
 from flexfmu.model.numeric import numeric_model
+from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.motor import Motor
 
@@ -189,3 +190,51 @@ def test_motors_and_strengths_do_not_change_the_fmu() -> None:
     assert not depends_on("motor.gear_ratio")
     assert not depends_on("mechanism.material.yield_strength")
     assert depends_on("mechanism.material.density")
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_motor_gets_no_hotter_than_its_bound(run: Run, seed: int) -> None:
+    """The largest temperature of a repeated run lies between the mean heat and its bound; it is that of a lag over many cycles."""
+    random = np.random.default_rng(seed)
+    motor = replace(MOTOR, thermal_time_constant=float(random.choice([0.05, 0.3, 2.0, 60.0])))
+    load = loaded(run, (*random.normal(0.0, 3.0, 2),), (4.0, 0.0), motor)
+    use = {margin.name: margin.use for margin in load.margins}
+    assert (
+        use["RMS torque"] ** 2 * (1.0 - 1e-9)
+        <= use["heat"]
+        <= use["RMS torque"] ** 2 * motor.heating(1.0)[0] * (1.0 + 1e-9)
+    )
+    # the lag, step by step
+    heat, keep = 0.0, np.exp(-np.diff(load.time) / motor.thermal_time_constant)  # type: ignore[operator]
+    squares = 0.5 * (load.torque[1:] ** 2 + load.torque[:-1] ** 2) / motor.continuous_torque**2
+    for _ in range(max(3, round(12.0 * motor.thermal_time_constant))):  # type: ignore[operator]
+        largest = heat
+        for each, square in zip(keep.tolist(), squares.tolist(), strict=True):
+            heat = each * heat + (1.0 - each) * square
+            largest = max(largest, heat)
+    assert use["heat"] == pytest.approx(largest, rel=2e-3)
+
+
+def test_the_torque_at_a_speed_is_that_of_the_curve(run: Run) -> None:
+    motor = replace(MOTOR, torque_speed_curve=((0.0, 3.0), (20.0, 2.0), (60.0, 1.0)))
+    load = loaded(run, (8.0, 0.0), (4.0, 0.0), motor)
+    use = {margin.name: margin.use for margin in load.margins}
+    # 1 N m at the shaft at 40 rad/s, where 1.5 N m are allowed
+    assert use["torque at speed"] == pytest.approx(1.0 / 1.5, rel=1e-9)
+    torque, slope = motor.largest_torque(np.array([-40.0, 10.0, 90.0]))
+    assert torque.tolist() == pytest.approx([1.5, 2.5, 1.0])
+    assert slope.tolist() == pytest.approx([0.025, -0.05, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("curve", "said"),
+    [
+        ([[0.0, 3.0]], "two or more points"),
+        ([[10.0, 3.0], [5.0, 2.0]], "ascending"),
+        ("flat", "a list of"),
+        ([[0, 0], [1, 1]], "above 0"),
+    ],
+)
+def test_wrong_curves_are_told(curve: object, said: str) -> None:
+    with pytest.raises(SceneError, match=said):
+        load_scene("barnard2012-6kg").replace({"motor": {**SECTION, "torque_speed_curve": curve}})

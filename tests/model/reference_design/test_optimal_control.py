@@ -15,6 +15,7 @@ from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.optimal_control import (
     GROUPS,
     Aim,
+    Drives,
     Effort,
     Improvement,
     MotionLimits,
@@ -26,6 +27,7 @@ from flexfmu.model.reference_design.optimal_control import (
 )
 from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
 from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.motor import Motor
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 
@@ -58,6 +60,18 @@ def variants() -> list[dict[str, float]]:
 @pytest.fixture(scope="module")
 def given(scene: Scene) -> JointSpline:
     return fitted(plan(scene).joints, 20)
+
+
+MOTOR = Motor(
+    1.2,
+    3.5,
+    600.0,
+    1e-4,
+    25.0,
+    0.9,
+    torque_speed_curve=((0.0, 3.5), (100.0, 3.0), (600.0, 1.0)),
+    thermal_time_constant=0.5,
+)
 
 
 @pytest.fixture(scope="module")
@@ -101,14 +115,25 @@ def test_derivatives_of_a_cycle_are_those_of_finite_differences(
     robots = [[RobotVariant(scene, each) for each in variants[::2]], [RobotVariant(empty, {})]]
     motions, loads = (
         (given.with_duration(0.25), back.with_duration(0.2)),
-        {"power": 300.0, "supply_power": 300.0, "regenerated_power": 300.0},
+        {
+            "power": 300.0,
+            "supply_power": 300.0,
+            "regenerated_power": 300.0,
+            "motor_torque": 0.7,
+            "reaction": 200.0,
+            "stress": 2e7,
+        },
     )
+    drives, pairs = Drives((MOTOR, replace(MOTOR, gear_ratio=20.0)), 0.01), ("power", "motor_torque")
     ways = []
     for few, motion, of_case in zip(robots, motions, ([0, 1], [0, 0]), strict=True):
-        shapes = {name: np.full((len(few), *((2,) if name == "power" else ())), value) for name, value in loads.items()}
-        own = MotionLimits(np.full((len(few), 2), 50.0), 20.0, 500.0, 4e4, 2e-6, above, shapes, 0.05)
+        shapes = {name: np.full((len(few), *((2,) if name in pairs else ())), value) for name, value in loads.items()}
+        own = MotionLimits(np.full((len(few), 2), 50.0), 20.0, 500.0, 4e4, 2e-6, above, shapes, 0.05, drives=drives)
         ways.append(Way(few, own, motion, np.array(of_case)))
-    stage = Stage(ways, {"rms_torque": np.full((2, 2), 20.0), "energy": np.full(2, 40.0)}, 1, [0.2, 0.2])
+    of_cycle = {
+        "rms_torque": np.full((2, 2), 20.0), "energy": np.full(2, 40.0), "motor_rms_torque": np.full((2, 2), 0.8), "regenerated_energy": np.full(2, 5.0),
+    }  # fmt: skip
+    stage = Stage(ways, of_cycle, 1, [0.2, 0.2])
     state = stage.state(motions)
     linear = stage.linear(state)
     m = linear.loads_by.shape[1]
@@ -159,6 +184,32 @@ def test_residual_and_loads_of_the_motors_are_those_of_the_fmu(scene: Scene, giv
         assert [found["power"][..., joint].max(), -found["power"][..., joint].min()] == pytest.approx(powers, rel=2e-3)
     energy = sum(float(metrics[f"positive_energy_{joint}"]) for joint in (1, 2))
     assert found["energy"][0] == pytest.approx(energy, rel=1e-3)
+
+
+def test_loads_of_shafts_joints_and_links_are_those_of_the_fmu(scene: Scene, given: JointSpline) -> None:
+    """Shafts by `motor_loads`, forces by the FMU's outputs, stresses at more places by `link_stresses`."""
+    motion, names = given.with_duration(0.3), ("reaction", "stress")
+    # torques jump where gears change the direction of their losses
+    elastic = ElasticResponse(scene, [{}], motion.coefficients[0], 512, loads=names)
+    response, rest = elastic.of_motion(motion, derivatives=False), elastic.model.rest(motion.coefficients[-1])
+    motors = (MOTOR, replace(MOTOR, gear_ratio=20.0))
+    loads = MotorLoads(
+        elastic.fractions, rest.torque, scene.trajectory.dwell, Drives(motors, scene.effects.motor_inertia), names
+    )
+    found = loads.values(("motor_torque", "square_motor_torque", *names), motion, response)
+    run = flexfmu.run(scene.replace({"effects.reactions": True}), trajectory=motion.trajectory(), tolerance=1e-8)
+    time = motion.duration + scene.trajectory.dwell
+    for joint, load in enumerate(flexfmu.motor_loads(run, motors)):
+        use = {margin.name: margin.use for margin in load.margins}
+        assert abs(found["motor_torque"][0, :, joint]).max() == pytest.approx(use["torque at speed"], rel=5e-3)
+        rms = np.sqrt(found["square_motor_torque"][0, joint] / time)
+        assert rms == pytest.approx(use["RMS torque"], rel=1e-3)
+    for k, name in enumerate(("elbow1", "elbow2", "leg1", "leg2")):
+        force = np.hypot(*(run.recording[f"{name}.reaction.{axis}"].values for axis in "xy"))
+        moving = force[run.recording.time <= motion.duration]
+        assert found["reaction"][0, :, k].max() == pytest.approx(moving.max(), rel=2e-3)
+    largest = max(each.combined.value for each in flexfmu.link_stresses(run) if each.combined is not None)
+    assert 0.9 * largest < abs(found["stress"]).max() < 1.002 * largest
 
 
 @pytest.mark.slow

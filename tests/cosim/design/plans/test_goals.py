@@ -239,3 +239,31 @@ def test_a_corner_that_is_cut_is_not_passed_through() -> None:
         assert box.passage(cut) == 0.0
         grazing = np.array([[-0.5, 1.0 - depth], [1.5, 1.0 - depth]])
         assert box.along(grazing, 1e-3).min() == pytest.approx(-depth)
+
+
+def test_motors_replace_the_given_motions_limits() -> None:
+    """Of a scene with motors what they can is the limit, unless the wishes say otherwise; without them such a limit is an error."""
+    scene = load_scene("barnard2012-6kg")
+    assert {"torque", "rms_torque", "power"} <= goals_of(scene).limits.keys()
+    motor = {"continuous_torque": 1.6, "peak_torque": 4.8, "maximum_speed": 600.0, "gear_ratio": 25.0}
+    limits = goals_of(scene.replace({"motor": motor, "plan.limits.power": {"ratio": 1.5}})).limits
+    assert limits.keys() == {
+        "motor_torque",
+        "motor_rms_torque",
+        "motor_speed",
+        "power",
+        "speed",
+        "acceleration",
+        "jerk",
+    }
+    assert limits["motor_torque"].limit == 1.0
+    free = goals_of(scene.replace({"motor": motor, "plan.limits.motor_rms_torque": "free"})).limits
+    assert "motor_rms_torque" not in free
+    with pytest.raises(InputError, match="add a section `motor`"):
+        goals_of(scene.replace({"plan.limits.motor_torque": 0.9}))
+
+
+def test_a_motor_that_cannot_hold_the_payload_is_an_error() -> None:
+    motor = {"continuous_torque": 0.2, "peak_torque": 4.8, "maximum_speed": 600.0, "gear_ratio": 25.0}
+    with pytest.raises(InputError, match=r"`motor\.continuous_torque` = 0\.2 N·m is below"):
+        checked_goals(load_scene("barnard2012-6kg").replace({"motor": motor}))

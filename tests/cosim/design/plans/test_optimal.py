@@ -88,7 +88,7 @@ def test_the_least_torque_in_a_shorter_time_leaves_no_vibration(assessed: Assess
 def test_what_the_fmu_finds_beyond_a_limit_is_taken_off_it(
     limits: dict[str, dict[str, float]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Optimal control whose model finds torques a fifth too small, or that doesn't know a limit, still ends within it."""
+    """Optimal control whose model finds torques or forces a fifth too small still ends within the limits."""
     wishes = {
         "plan.minimise": "time",
         "plan.duration": None,
@@ -101,10 +101,12 @@ def test_what_the_fmu_finds_beyond_a_limit_is_taken_off_it(
 
     def optimistic(ways: list[Way], *_: object, **__: object) -> Iterator[Improvement]:
         start, limits = ways[0].start, ways[0].limits
-        response = ElasticResponse(goals.scene, variants, start.coefficients[0], 60)
+        forces = {name: each[:3] for name, each in limits.loads.items() if name == "reaction"}
+        response = ElasticResponse(goals.scene, variants, start.coefficients[0], 60, loads=(*forces,))
         for duration in np.arange(0.3, 1.2, 0.03):
-            torque = response.of_motion(motion := start.with_duration(float(duration)), derivatives=False).torque
-            if (np.abs(torque).max(axis=1) < 1.2 * limits.torque[[0, 1, 2]]).all():
+            found = response.of_motion(motion := start.with_duration(float(duration)), derivatives=False)
+            is_met = (np.abs(found.torque).max(axis=1) < 1.2 * limits.torque[:3]).all()
+            if is_met and all((found.loads.max(axis=(1, 2)) < 1.2 * each).all() for each in forces.values()):
                 yield Improvement((motion,), dict.fromkeys(GROUPS, 0.0), 0.0, checked=True)
                 return
 
@@ -172,6 +174,41 @@ def test_both_ways_of_a_cycle_keep_its_limits_in_the_fmu(tmp_path: Path, monkeyp
     assert 4000.0 * result.chosen.time - 1.0 < len(table.torque) < 4000.0 * result.chosen.time + 2.0
     assert np.abs(np.diff(table.values[0], axis=0)).max() < 1e-3 * np.ptp(table.values[0]) + 0.01
     assert table.values[0, -1] == pytest.approx(table.values[0, 0], abs=1e-9)
+
+
+@pytest.mark.slow
+def test_a_cycle_keeps_the_motors_and_the_joints_to_what_they_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Torque at its speed, RMS torque over the cycle and forces in the joints, of the FMU's runs; one of them binds."""
+    monkeypatch.setattr(method, "INTERVALS", 20)
+    monkeypatch.setattr(method, "fuller_scene", lambda scene: None)
+    motor = {
+        "continuous_torque": 1.3, "peak_torque": 3.5, "maximum_speed": 600.0, "gear_ratio": 25.0, "rotor_inertia": 4e-5,
+        "torque_speed_curve": [[0.0, 3.5], [100.0, 3.5], [600.0, 1.5]], "thermal_time_constant": 5.0,
+    }  # fmt: skip
+    result = plan_scene(CYCLE.replace({"motor": motor, "plan.limits.reaction": 500.0}))
+    assert not result.missed
+    squares, used = np.zeros(2), list[float]()
+    for _, each in result.ways:
+        assert each.candidate.trajectory is not None
+        run = flexfmu.run(each.candidate.scene, trajectory=each.candidate.trajectory, tolerance=1e-8)
+        forces = [
+            np.hypot(*(run.recording[f"{name}.reaction.{axis}"].values for axis in "xy"))
+            for name in ("elbow1", "elbow2", "leg1", "leg2")
+        ]
+        used.append(max(float(force.max()) for force in forces) / 500.0)
+        for k, load in enumerate(flexfmu.motor_loads(run)):
+            use = {margin.name: margin.use for margin in load.margins}
+            used += [use["peak torque"], use["torque at speed"], use["speed"]]
+            holding, length = float(run.recording[f"joint{k + 1}.torque"].values[-1]) / 25.0 / 1.3, each.time
+            dwell = run.recording.time[-1] - length
+            squares[k] += use["RMS torque"] ** 2 * (length + dwell) + holding**2 * (0.05 - dwell)
+    period = result.chosen.time
+    used += np.sqrt(squares / period * (period / 5.0) / -np.expm1(-period / 5.0)).tolist()
+    assert 0.98 < max(used) < 1.0001
+    limits = {use.figure: use.value for use in result.chosen.uses}
+    assert max(limits["motor_torque"], limits["motor_rms_torque"], limits["reaction"] / 500.0) == pytest.approx(
+        max(used), rel=1e-4
+    )
 
 
 @pytest.mark.slow
