@@ -28,6 +28,10 @@ OTHERS: dict[str, dict[str, Any]] = {
     "craig-bampton": {"effects.basis": "craig-bampton", "effects.distal_bending": 2},
     "rotor-inertia": {"effects.motor_inertia": 0.1},
     "empty": {"payload.mass": 0.0},
+    "loop": {
+        "cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "imperfection": [{"kind": "encoder", "counts_per_turn": 1e6}],
+        "controller": [{"kind": "pid", "proportional": 1e4, "integral": 0.0, "derivative": 100.0, "sample_time": 1e-3}],
+    },
     "drives": {
         "motor": {
             "continuous_torque": 1.6, "peak_torque": 4.8, "maximum_speed": 600.0, "torque_speed_curve": [[0.0, 4.8], [300.0, 4.8], [600.0, 2.0]],

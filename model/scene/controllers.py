@@ -23,6 +23,10 @@ Factors = Annotated[tuple[section.NotNegativePerJoint, ...], BeforeValidator(sec
 FactorTable = Annotated[Factors | None, section.quantity("1")]
 
 
+Correction = Annotated[tuple[tuple[float, float], ...], BeforeValidator(section.tuples)]
+"""Torques of both joints for each sample."""
+
+
 class ScheduleSection(section.Section):
     """Factors on gains at the breakpoints `at` of the signal `over`, linear in between and constant beyond.
 
@@ -207,12 +211,20 @@ class FeedforwardSection(SampledSection):
     """Inverse dynamics of the reference motion, added to the torque of another controller; `payload` as above.
 
     `robot` = "flexible" gives the torques with which the motors of the flexible robot follow their references, from a simulation
-    of the known motion; "rigid" those of the rigid robot, from the references of the moment.
+    of the known motion; "rigid" those of the rigid robot, from the references of the moment. `correction` is added to the former,
+    sample by sample; the last one holds on.
     """
 
     kind: Literal["feedforward"]
     robot: Literal["rigid", "flexible"] = "rigid"
+    correction: Annotated[Correction, section.quantity("N.m")] = ()
     payload: Annotated[section.NotNegative | None, section.quantity("kg")] = None
+
+    @model_validator(mode="after")
+    def _correction_has_a_motion(self) -> Self:
+        if self.correction and self.robot == "rigid":
+            raise ValueError('`correction` belongs to `robot = "flexible"`, whose torques are those of a known motion')
+        return self
 
 
 class FrictionCompensationSection(SampledSection):

@@ -81,6 +81,7 @@ def feedforward(
     sample_time: float,
     offset: float = ...,
     robot: Literal['rigid', 'flexible'] = ...,
+    correction: Sequence[float | Sequence[float]] = ...,
     payload: float | None = ...,
 ) -> FeedforwardSection: ...
 def fmu(

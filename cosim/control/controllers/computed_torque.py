@@ -109,6 +109,9 @@ def feedforward(s: FeedforwardSection, context: LoopContext) -> SymbolicBlock:
         )
     scene, motion = _assumed(context, s.payload), context.shaped
     torques = mean_torques(scene, motion, motion.duration + scene.trajectory.dwell, **s.sampling)
+    if s.correction:
+        indices = np.minimum(np.arange(len(torques)), len(s.correction) - 1)
+        torques = torques + np.array(s.correction)[indices]
     return block(
         "feedforward",
         "Torques of the flexible robot in its motion",

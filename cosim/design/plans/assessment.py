@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from types import SimpleNamespace
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -409,7 +410,16 @@ class Judge:
         speed, acceleration, jerk = peak_rates(joints, INSTANTS).tolist()
         assessment = Assessment(candidate, joints.duration, tuple(found), (speed, acceleration, jerk))
         uses = tuple(self._uses(assessment, assessment if given else self.given))
+        if self.goals.loop is not None:
+            uses = *uses, self._in_the_loop(self.goals.loop, candidate)
         return assessment.time, assessment.peaks, assessment.references, uses
+
+    def _in_the_loop(self, scene: Scene, candidate: Candidate) -> Limit:
+        """The residual vibration that the scene's controllers leave, with its own payload."""
+        run = loop_run(with_learned_torques(scene, candidate), candidate)
+        where = f"loop, {scene.payload.mass:g} kg, tracking error {1e3 * tracking_error(run):.3g} mrad"
+        found = float(run.metrics["residual_vibration_amplitude"])
+        return Limit("loop_residual", self.goals.wishes.residual, "m", rounding=MET).used(found, where)
 
     def _peaks(self, run: Run, variation: Variation) -> Peaks:
         metrics, recording, end = run.metrics, run.recording, run.plan.duration
@@ -505,6 +515,95 @@ class Judge:
             yield limit.used(value, where)
         if wishes.duration is not None:
             yield Limit("time", wishes.duration, "s", rounding=MET).used(found.time, "whole motion")
+
+
+def loop_run(scene: Scene, candidate: Candidate) -> Run:
+    """The run of a candidate's joint references with the controllers of a scene.
+
+    Raises:
+        TrajectoryError: the motion isn't feasible.
+        ResultsError: the loop is unstable, or fails otherwise.
+    """
+    references = candidate.joints
+    joints = SimpleNamespace(
+        coordinates="joints",
+        duration=references.duration,
+        breakpoints=references.breakpoints,
+        evaluate=references.evaluate,
+    )
+    dwell = max(scene.trajectory.dwell, candidate.scene.trajectory.dwell)
+    loop = own_loop(scene.replace({"shaper": [], "trajectory.dwell": dwell}), cast(Trajectory, joints))
+    run = PreparedScene(loop.motion.scene, loop=loop).run()
+    if run.outcome is Outcome.INTERRUPTED:
+        raise KeyboardInterrupt
+    if not run.completed:
+        raise ResultsError(f"{candidate.label} with the controllers of scene {scene.name}: {run.message}")
+    return run
+
+
+LEARNED, SETTLED = 10, 0.03
+"""Runs from which the torques of a loop are learned, and time after the motion up to which they are [s]."""
+
+AHEAD, SMOOTHED = 2.5, 6
+"""How many samples later the error tells what a torque lacks, and how often corrections are averaged over three samples: a loop amplifies
+what changes from sample to sample."""
+
+FINE: Mapping[str, Mapping[str, Any]] = {"encoder": {"counts_per_turn": 1e12}, "quantisation": {"resolution": 1e-12}}
+"""Imperfections that are learned without their rounding."""
+
+
+def with_learned_torques(scene: Scene, candidate: Candidate) -> Scene:
+    """The scene whose PD or PID loop follows a candidate's references exactly, but for rounding: its feedforward is corrected.
+
+    What the controllers would answer to the tracking error of a run is added to the torques of the next one (iterative learning, see
+    `flexfmu.cosim.control.controllers.iterative_learning`); delays and sampled velocities no longer pull the robot off its motion.
+
+    Raises:
+        TrajectoryError, ResultsError: as `loop_run`.
+    """
+    gains, last = [each for each in scene.controller if each.kind in ("pd", "pid")], scene.controller[-1]
+    if last.kind != "feedforward" or last.robot != "flexible" or last.sample_time is None or len(gains) != 1:
+        return scene
+    data = scene.model_dump(exclude_none=True)
+    quiet = [
+        {**each, **FINE.get(each["kind"], {})}
+        for each in data["imperfection"]
+        if each["kind"] not in ("noise", "jitter")
+    ]
+    proportional, derivative = (np.array(getattr(gains[0], key)) for key in ("proportional", "derivative"))
+    instants = last.sample_time * (
+        np.arange(math.ceil((candidate.joints.duration + SETTLED) / last.sample_time)) + AHEAD
+    )
+    correction, best = np.zeros((len(instants) + 1, 2)), (math.inf, scene)
+
+    def corrected(torques: RealArray, imperfection: Any) -> Scene:
+        feedforward = {**data["controller"][-1], "correction": np.round(torques, 7).tolist()}
+        return scene.replace({"controller": [*data["controller"][:-1], feedforward], "imperfection": imperfection})
+
+    for _ in range(LEARNED):
+        run = loop_run(corrected(correction, quiet), candidate)
+        if (left := float(run.metrics["residual_vibration_amplitude"])) < best[0]:
+            best = left, corrected(correction, data["imperfection"])
+        time, motion = (
+            run.recording.time,
+            candidate.joints.evaluate(np.minimum(instants, candidate.joints.duration), 1, "left"),
+        )
+        motion[1, instants > candidate.joints.duration] = 0.0
+        for joint in range(2):
+            errors = [
+                motion[k, :, joint] - np.interp(instants, time, run.recording[f"joint{joint + 1}.{name}"].values)
+                for k, name in enumerate(("position", "velocity"))
+            ]
+            answer = proportional[joint] * errors[0] + derivative[joint] * errors[1]
+            for _ in range(SMOOTHED):
+                answer = np.convolve(np.pad(answer, 1, mode="edge"), (0.25, 0.5, 0.25), mode="valid")
+            correction[:-1, joint] += answer
+    return best[1]
+
+
+def tracking_error(run: Run) -> float:
+    """Largest tracking error of both joints [rad]."""
+    return max(float(run.metrics[f"peak_tracking_error_{joint}"]) for joint in (1, 2))
 
 
 def cases_of(variations: Sequence[Sequence[Variation]]) -> list[NDArray[np.intp]]:

@@ -43,6 +43,15 @@ USUAL: Mapping[str, Ratio] = dict.fromkeys(("torque", "rms_torque", "power"), Ra
 OF_MOTORS: Mapping[str, float] = dict.fromkeys(("motor_torque", "motor_rms_torque", "motor_speed"), 1.0)
 """Those of a scene with motors."""
 
+MOTION_DRIVEN: Mapping[str, Any] = {
+    "cosimulation.drive": "motion",
+    "controller": [],
+    "imperfection": [],
+    "filter": [],
+    "disturbance": [],
+}
+"""Keys of the scene whose motors follow exactly."""
+
 RATES = ("speed", "acceleration", "jerk")
 """Limits of the joint references, by the order of the derivative."""
 
@@ -122,6 +131,7 @@ class Goals:
         payload: mass that the planned scene has [kg]; None for that of `scene`.
         own: the given motion of the joints where it isn't the scene's.
         pause: time at rest after the motion that RMS torques contain [s]; None for the scene's dwell.
+        loop: the scene with the controllers that will follow the planned motion; None for motors that follow exactly.
         ways: the goals of each way of a cycle; empty for a single motion. The goals of a cycle have the scene of its first way.
         judged: what judges of these goals have found, so that none runs a motion again: by number of robots and motion.
     """
@@ -133,6 +143,7 @@ class Goals:
     payload: float | None = None
     own: Trajectory | None = None
     pause: float | None = None
+    loop: Scene | None = None
     ways: tuple[Goals, ...] = ()
     judged: dict[tuple[int, Any], Any] = field(default_factory=dict, init=False, compare=False, repr=False)
 
@@ -194,6 +205,10 @@ def goals_of(scene: Scene) -> Goals:
     cycle, section = goals.wishes.cycle, goals.scene.trajectory
     if cycle is None:
         return goals
+    if goals.loop is not None:
+        raise InputError(
+            f'scene {scene.name} has controllers, and `plan.cycle` is planned for motors that follow exactly: set `cosimulation.drive = "motion"`'
+        )
     if not isinstance(section, TrajectorySection):
         raise InputError(
             f"scene {scene.name} has a motion from a table: `plan.cycle` needs a path, whose height its ways have"
@@ -243,11 +258,13 @@ def _goals_of_motion(scene: Scene) -> Goals:
     """
     scene = resolved(scene)
     wishes = scene.plan or PlanSection()
-    if scene.cosimulation.drive != "motion" or scene.controller:
-        raise InputError(
-            f'scene {scene.name} has a torque drive or controllers: plan with `cosimulation.drive = "motion"`, then run the '
-            f"planned motion with your controllers"
-        )
+    loop = None
+    if scene.cosimulation.drive != "motion":
+        if not scene.controller:
+            raise InputError(
+                f'scene {scene.name} has a torque drive without a controller: add one, or plan with `cosimulation.drive = "motion"`'
+            )
+        scene, loop = scene.replace({**MOTION_DRIVEN}), _with_feedforward(scene)
     if wishes.damping_band and not damping_of(scene):
         raise InputError(
             f"`plan.damping_band` = {wishes.damping_band:g}, but scene {scene.name} has no damping that could vary: "
@@ -270,7 +287,17 @@ def _goals_of_motion(scene: Scene) -> Goals:
         for name in type(wishes.limits).model_fields
         if (value := getattr(wishes.limits, name) or asked.get(name)) not in (None, "free")
     }
-    return Goals(longer, wishes, limits, _clearance(longer, wishes), 0.0 if empty else None)
+    return Goals(longer, wishes, limits, _clearance(longer, wishes), 0.0 if empty else None, loop=loop)
+
+
+def _with_feedforward(scene: Scene) -> Scene:
+    """A scene with controllers in which the torques of the planned motion are known: PD and PID controllers get them in addition."""
+    first = scene.controller[0]
+    if any(each.kind not in ("pd", "pid") for each in scene.controller):
+        return scene
+    further = {"kind": "feedforward", "robot": "flexible", "sample_time": getattr(first, "sample_time", None)}
+    controllers = scene.model_dump(exclude_none=True)["controller"]
+    return scene.replace({"controller": [*controllers, {k: v for k, v in further.items() if v is not None}]})
 
 
 def judged_scene(scene: Scene, wishes: PlanSection) -> Scene:

@@ -333,7 +333,7 @@ def excesses(judged: Assessment) -> Mapping[str, float]:
         return {}
     found = dict[str, float]()
     for name, use in missed.items():
-        limit = "speed" if name == "motor_speed" else name
+        limit = {"motor_speed": "speed", "loop_residual": "residual"}.get(name, name)
         found[limit] = max(found.get(limit, 1.0), min(SURE * use.share, 2.0 * use.share - 0.999))
     return found if clearance is None else {**found, "clearance": SURE * clearance.value - clearance.limit}
 

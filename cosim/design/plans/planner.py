@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.assessment import FIGURES, Assessment, Candidate, Judge
+from flexfmu.cosim.design.plans.assessment import FIGURES, Assessment, Candidate, Judge, with_learned_torques
 from flexfmu.cosim.design.plans.drive_table import DriveTable, drive_table
 from flexfmu.cosim.design.plans.goals import Goals, check_holding_torque, checked_goals, judged_scene
 from flexfmu.cosim.design.plans.optimal import flexible, optimal
@@ -112,10 +112,17 @@ class PlanResult(Rows):
         """The figures of the chosen motion, the worst within the bands."""
         return self.chosen.metrics
 
-    @property
+    @cached_property
     def scene(self) -> Scene:
         """The scene with the chosen motion; a motion of the joints is in ``chosen.candidate.trajectory``."""
-        scene, mass = self.chosen.candidate.scene, self.goals.payload
+        scene, mass, loop = self.chosen.candidate.scene, self.goals.payload, self.goals.loop
+        if loop is not None:
+            # the motion, followed by the controllers
+            loop, parts = (
+                with_learned_torques(loop, self.chosen.candidate),
+                ("cosimulation", "controller", "imperfection", "filter", "disturbance"),
+            )
+            scene = scene.model_copy(update={key: getattr(loop, key) for key in parts})
         return scene if mass is None else scene.replace({"payload.mass": mass})
 
     def drive_table(self, rate: float, unit: str = "rad", counts: float | None = None) -> DriveTable:

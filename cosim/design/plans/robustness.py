@@ -16,12 +16,10 @@ from typing import Any, cast
 import numpy as np
 
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.assessment import STEP, Candidate, Judge
+from flexfmu.cosim.design.plans.assessment import STEP, Candidate, Judge, loop_run, tracking_error, with_learned_torques
 from flexfmu.cosim.design.plans.goals import Goals, Variation, goals_of
-from flexfmu.cosim.engine.errors import CosimError, ResultsError
-from flexfmu.cosim.experiment.scene_loop import own_loop
+from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
-from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.model.finite_elements.motion import equilibrium, simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.scene.effects import NoDampingSection
@@ -132,7 +130,14 @@ def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOW
         if damping == 1.0 or not isinstance(goals.scene.effects.damping, NoDampingSection):
             lines[f"{RICHEST}, {name}"] = partial(_assessed, fixed, goals, richest, stiffness, damping)
     lines["finite elements"] = partial(_by_elements, fixed, goals)
-    lines |= {name: partial(_in_a_loop, controllers, fixed, goals) for name, controllers in LOOPS.items()}
+    if goals.loop is None:
+        lines |= {name: partial(_in_a_loop, controllers, fixed, goals) for name, controllers in LOOPS.items()}
+    else:
+        loop = with_learned_torques(goals.loop, candidate)
+        lines |= {
+            f"the scene's loop, {mass:g} kg": partial(_other_payload, mass, fixed, loop)
+            for mass in dict.fromkeys(goals.band)
+        }
     # each of them, or that there is none and why
     content = fixed.content
     for name, line in lines.items():
@@ -188,9 +193,17 @@ def _by_elements(fixed: Candidate, goals: Goals, name: str) -> RobustnessLine:
     )
 
 
+def _other_payload(mass: float, fixed: Candidate, loop: Scene, name: str) -> RobustnessLine:
+    """The scene's own loop with a payload that its feedforward doesn't know."""
+    payload = {"kind": "payload-error", "relative": mass / loop.payload.mass - 1.0} if loop.payload.mass else None
+    imperfections = loop.model_dump(exclude_none=True).get("imperfection", ())
+    run = loop_run(loop.replace({"imperfection": [*imperfections, payload]}) if payload else loop, fixed)
+    note = f"tracking error {1e3 * tracking_error(run):.3g} mrad"
+    return RobustnessLine(name, float(run.metrics["residual_vibration_amplitude"]), f"{mass:g} kg", note=note)
+
+
 def _in_a_loop(controllers: Sequence[Mapping[str, Any]], fixed: Candidate, goals: Goals, name: str) -> RobustnessLine:
     """Motors that follow by a loop with encoders."""
-    assert fixed.trajectory is not None
     scene = goals.scene.replace(
         {
             "cosimulation.drive": "torque",
@@ -201,12 +214,8 @@ def _in_a_loop(controllers: Sequence[Mapping[str, Any]], fixed: Candidate, goals
             "filter": [],
         }
     )
-    loop = own_loop(scene, fixed.trajectory)
-    run = PreparedScene(loop.motion.scene, loop=loop).run()
-    if not run.completed:
-        raise ResultsError(run.message)
-    tracking = 1e3 * max(float(run.metrics[f"peak_tracking_error_{joint}"]) for joint in (1, 2))
+    run = loop_run(scene, fixed)
     return RobustnessLine(
         name, float(run.metrics["residual_vibration_amplitude"]), f"{scene.payload.mass:g} kg",
-        note=f"encoders of {COUNTS:.0e} counts, tracking error {tracking:.3g} mrad",
+        note=f"encoders of {COUNTS:.0e} counts, tracking error {1e3 * tracking_error(run):.3g} mrad",
     )  # fmt: skip

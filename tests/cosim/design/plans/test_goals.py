@@ -45,7 +45,7 @@ SCENE = load_scene("barnard2012-6kg")
         ({"limits": {"jerk": "high"}}, "`plan.limits.jerk`: a limit must be above 0"),
         ({"damping_band": 0.2, "effects.damping": {"kind": "none"}}, "no damping that could vary"),
         ({"damping_band": 0.2, "effects.damping": {"kind": "modal", "ratio": 0.0}}, "no damping that could vary"),
-        ({"cosimulation.drive": "torque"}, "torque drive or controllers"),
+        ({"cosimulation.drive": "torque"}, "torque drive without a controller"),
     ],
 )
 def test_wishes_that_contradict(wishes: dict[str, Any], message: str) -> None:

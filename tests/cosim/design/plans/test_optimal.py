@@ -17,7 +17,7 @@ import pytest
 
 import flexfmu
 from flexfmu.cosim.design.plans import optimal as method
-from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, loop_run, with_learned_torques
 from flexfmu.cosim.design.plans.goals import Goals, goals_of
 from flexfmu.cosim.design.plans.optimal import optimal
 from flexfmu.cosim.design.plans.planned_files import write_plan
@@ -209,6 +209,42 @@ def test_a_cycle_keeps_the_motors_and_the_joints_to_what_they_can(monkeypatch: p
     assert max(limits["motor_torque"], limits["motor_rms_torque"], limits["reaction"] / 500.0) == pytest.approx(
         max(used), rel=1e-4
     )
+
+
+@pytest.mark.slow
+def test_the_loop_is_in_the_plan_and_in_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A loop at 1 kHz with encoders leaves no more than promised; the written scene has it and its torques, which are learned where velocities lag."""
+    monkeypatch.setattr(method, "INTERVALS", 20)
+    monkeypatch.setattr(method, "fuller_scene", lambda scene: None)
+    loop = {
+        "cosimulation.drive": "torque",
+        "effects.motor_inertia": 0.1,
+        "controller": [{"kind": "pid", "proportional": 1e4, "integral": 0.0, "derivative": 100.0, "sample_time": 1e-3}],
+        "imperfection": [{"kind": "encoder", "counts_per_turn": 1e6}],
+    }
+    result = plan_scene(
+        CYCLE.replace({**loop, "plan.cycle": None, "plan.residual": 2e-6}), methods=["optimal"], robust=False
+    )
+    assert not result.missed
+    assert result.chosen.time < result.given.time
+    (use,) = (use for use in result.chosen.uses if use.figure == "loop_residual")
+    write_plan(result, tmp_path)
+    run = flexfmu.run(tmp_path / "planned.toml")
+    assert [each.kind for each in run.scene.controller] == ["pid", "feedforward"]
+    assert float(run.metrics["residual_vibration_amplitude"]) == pytest.approx(use.value, rel=0.02)
+    lagging = {**result.scene.model_dump(exclude_none=True)["controller"][0], "kind": "pd"}
+    lagging = {key: lagging[key] for key in ("kind", "proportional", "derivative", "sample_time")}
+    scene = result.goals.scene.replace(
+        {**loop, "controller": [lagging, {"kind": "feedforward", "robot": "flexible", "sample_time": 1e-3}]}
+    )
+    pair = (
+        loop_run(each, result.chosen.candidate)
+        for each in (scene, with_learned_torques(scene, result.chosen.candidate))
+    )
+    before, after = (float(each.metrics["residual_vibration_amplitude"]) for each in pair)
+    assert after < 0.2 * before
+    with pytest.raises(InputError, match="follow exactly"):
+        goals_of(CYCLE.replace(loop))
 
 
 @pytest.mark.slow
