@@ -117,6 +117,13 @@ def optimal(
         tried = yield from refined(judge, attempt, made, ways, loads, optimal_control.LOOSE, ("optimal", share), few)
         if tried:
             break
+    else:
+        # from the best motion of other methods, if there is one
+        others = [each for each in found if each.feasible and each.candidate.method != "given"]
+        if others and not goals.ways:
+            best = min(others, key=lambda each: float(getattr(each, goals.wishes.minimise)))
+            way = replace(tight_ways[0], start=fitted(best.candidate.joints, INTERVALS, side="left"))
+            yield from refined(judge, attempt, made, [way], loads, 0.0, ("optimal", "other"))
     if goals.wishes.front:
         yield from _front(goals, found[0], motions, attempt, judge)
 
