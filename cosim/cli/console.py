@@ -72,6 +72,17 @@ def print_rich(*parts: RenderableType) -> None:
             console.print(shown, soft_wrap=isinstance(shown, Text) and not console.is_terminal)
 
 
+def check_page_compiler() -> None:
+    """Check that pages that simulate can be compiled, before anything runs.
+
+    Raises:
+        BuildError: there is no ziglang.
+    """
+    from flexfmu.fmu_build.toolchain import WASM, find_compiler
+
+    find_compiler(WASM)
+
+
 def print_result(as_json: bool, data: Any, *parts: RenderableType) -> None:
     """Write a result to standard output: its data as JSON, or else these tables and texts."""
     if as_json:

@@ -663,9 +663,7 @@ def plan(
     console.check_scene_file(output)
     check_drive(rate, unit, counts)
     if live:
-        from flexfmu.fmu_build.toolchain import WASM, find_compiler
-
-        find_compiler(WASM)
+        console.check_page_compiler()
     robot = console.load_changed(scene, settings)
     band = None if payload_band is None else parse_band(payload_band)
     wishes: dict[str, Any] = {

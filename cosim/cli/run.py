@@ -144,9 +144,7 @@ def _run_scene(
         check_format(name)
     (asked, target), (has_report, live) = wanted, reports
     if live:
-        from flexfmu.fmu_build.toolchain import WASM, find_compiler
-
-        find_compiler(WASM)
+        console.check_page_compiler()
     console.check_scene_file(target)
     scene, answer = console.load_changed(source, changes), None
     if asked:

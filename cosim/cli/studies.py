@@ -11,6 +11,7 @@ import typer
 
 from flexfmu.cosim.cli.console import (
     FAILURE,
+    check_page_compiler,
     files_sentence,
     load_named,
     load_resolved,
@@ -88,9 +89,7 @@ def compare(
     if live and out is None:
         raise InputError("--live is about comparison.html: add --out DIR")
     if live:
-        from flexfmu.fmu_build.toolchain import WASM, find_compiler
-
-        find_compiler(WASM)
+        check_page_compiler()
     meaning = dict(map(parse_mapping, mapping or ()))
     if measured is not None and (measured.is_dir() or not measured.exists()):
         raise InputError(f"there is no file {measured}")
@@ -358,9 +357,7 @@ def sweep(
             "--live simulates a scene in the page; a model has its page by flexfmu build --platform wasm32"
         )
     if live:
-        from flexfmu.fmu_build.toolchain import WASM, find_compiler
-
-        find_compiler(WASM)
+        check_page_compiler()
     robot = None if model else load_resolved(scene, settings, keeps_accuracy=True)
     wanted = _swept_cases(robot, vary or [], sample, seed, cases)
     if record_step is not None and not record:

@@ -110,33 +110,31 @@ class Drives:
     inertia: float = 0.0
 
     def torque(self, speed: RealArray, acceleration: RealArray, torque: RealArray) -> tuple[RealArray, ...]:
-        """Torques of the shafts relative to the largest at their speeds, and their derivatives by speed, acceleration and torque.
+        """Torques of the shafts (P, N, 2) [N m], and their derivatives by acceleration and torque of the joints.
 
         Args:
             speed, acceleration: of the joints (N, 2) [rad/s, rad/s²].
             torque: of the joints (P, N, 2) [N m].
         """
-        found = []
-        for k, motor in enumerate(self.motors):
-            (v, a), ratio = (each[:, k] for each in (speed, acceleration)), motor.gear_ratio
-            load = torque[..., k] - self.inertia * a
-            factor = motor.gear_efficiency ** -np.sign(load * v) / ratio
-            at_shaft = factor * load + motor.rotor_inertia * ratio * a
-            largest, slope = motor.largest_torque(ratio * v)
-            share = at_shaft / largest
-            by_acceleration = (motor.rotor_inertia * ratio - self.inertia * factor) / largest
-            found.append([share, -share * slope * ratio / largest, by_acceleration, factor / largest])
-        return tuple(np.stack(each, axis=-1) for each in zip(*found, strict=True))
-
-    def continuous(self, speed: RealArray) -> RealArray:
-        """The largest torques at speeds of the joints (N, 2), relative to those that motors can hold for ever."""
-        return np.stack(
-            [
-                each.largest_torque(each.gear_ratio * v)[0] / each.continuous_torque
-                for each, v in zip(self.motors, speed.T, strict=True)
-            ],
-            axis=-1,
+        ratio, efficiency, rotor = (
+            np.array([getattr(motor, name) for motor in self.motors])
+            for name in ("gear_ratio", "gear_efficiency", "rotor_inertia")
         )
+        load = torque - self.inertia * acceleration
+        factor = efficiency ** -np.sign(load * speed) / ratio
+        at_shaft = factor * load + rotor * ratio * acceleration
+        return at_shaft, rotor * ratio - self.inertia * factor, factor
+
+    def largest(self, speed: RealArray) -> tuple[RealArray, RealArray]:
+        """The largest torques of the shafts (N, 2) [N m] at speeds of the joints (N, 2) [rad/s], and their derivatives by the speeds."""
+        pairs = [each.largest_torque(each.gear_ratio * v) for each, v in zip(self.motors, speed.T, strict=True)]
+        torque, slope = (np.stack(each, axis=-1) for each in zip(*pairs, strict=True))
+        return torque, slope * [each.gear_ratio for each in self.motors]
+
+    @property
+    def continuous(self) -> RealArray:
+        """The torques that the shafts can hold for ever (2,) [N m]."""
+        return np.array([each.continuous_torque for each in self.motors])
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,6 +215,12 @@ class MotorLoads:
         edges = np.cumsum([0, *(LINK_LOADS[name][0] for name in link_loads)]).tolist()
         self._link_loads = {name: slice(*each) for name, each in zip(link_loads, pairwise(edges), strict=True)}
 
+    @property
+    def drives(self) -> Drives:
+        """The motors, where there are any."""
+        assert self._drives is not None
+        return self._drives
+
     def values(self, names: Iterable[str], motion: DesignedMotion, response: Response) -> dict[str, RealArray]:
         """The figures of these names."""
         return self.of_references(names, motion.evaluate(self._fractions), motion.duration, response)
@@ -227,7 +231,11 @@ class MotorLoads:
         """The figures for joint references (3, N, 2) [rad, rad/s, rad/s²] of a duration [s], and the response to them."""
         torque, (_, speed, acceleration) = response.torque, references
         power, weights = torque * speed, duration * self.weights
-        both, rest = power.sum(axis=2), np.zeros((1, 2))
+        both, rest = power.sum(axis=2), np.zeros(2)
+
+        def shafts() -> RealArray:
+            return self.drives.torque(speed, acceleration, torque)[0]
+
         find: dict[str, Callable[[], RealArray]] = {
             "torque": lambda: torque,
             "power": lambda: power,
@@ -238,10 +246,11 @@ class MotorLoads:
             "supply_power": lambda: np.maximum(both, 0.0),
             "regenerated_power": lambda: np.maximum(-both, 0.0),
             "regenerated_energy": lambda: np.maximum(-both, 0.0) @ weights,
-            "motor_torque": lambda: self._shafts(speed, acceleration, torque)[0],
+            "motor_torque": lambda: shafts() / self.drives.largest(speed)[0],
             "square_motor_torque": lambda: (
-                np.einsum("n,pnj->pj", weights, self._heating(speed, acceleration, torque)[0] ** 2)
-                + self._pause * self._heating(rest, rest, np.reshape(self._holding, (-1, 1, 2)))[0][:, 0] ** 2
+                np.einsum("n,pnj->pj", weights, (shafts() / self.drives.continuous) ** 2)
+                + self._pause
+                * (self.drives.torque(rest, rest, np.asarray(self._holding))[0] / self.drives.continuous) ** 2
             ),
         }
         return {
@@ -249,35 +258,25 @@ class MotorLoads:
             for name in names
         }
 
-    def _shafts(self, speed: RealArray, acceleration: RealArray, torque: RealArray) -> tuple[RealArray, ...]:
-        assert self._drives is not None
-        return self._drives.torque(speed, acceleration, torque)
-
-    def _heating(self, speed: RealArray, acceleration: RealArray, torque: RealArray) -> tuple[RealArray, ...]:
-        """As `Drives.torque`, but relative to the torques that the motors can hold for ever, which don't depend on speed."""
-        assert self._drives is not None
-        share, _, *by = self._drives.torque(speed, acceleration, torque)
-        unit = self._drives.continuous(speed)
-        return share * unit, np.zeros_like(share), *(each * unit for each in by)
-
     def speed_derivatives(self, motion: DesignedMotion) -> RealArray:
         """Derivatives of the joint speeds (N, 2, m)."""
         return motion.derivatives(self._fractions)[:, 2:4]
 
-    def heating_derivatives(self, motion: DesignedMotion, response: Response) -> tuple[RealArray, RealArray]:
-        """Torques of the shafts (P, N, 2), relative to those that the motors can hold for ever, and their derivatives."""
-        return self._of_shafts(self._heating, motion, response)
-
-    def _of_shafts(
-        self, shafts: Callable[..., tuple[RealArray, ...]], motion: DesignedMotion, response: Response
-    ) -> tuple[RealArray, RealArray]:
-        """Relative torques of the shafts (P, N, 2), and their derivatives by the variables."""
+    def shafts(self, motion: DesignedMotion, response: Response) -> tuple[RealArray, RealArray]:
+        """Torques of the shafts (P, N, 2) [N m], and their derivatives by the variables."""
         _, speed, acceleration = motion.evaluate(self._fractions)
-        by = motion.derivatives(self._fractions)
-        share, by_speed, by_acceleration, by_torque = (
-            each[..., np.newaxis] for each in shafts(speed, acceleration, response.torque)
-        )
-        return share[..., 0], by_speed * by[:, 2:4] + by_acceleration * by[:, 4:6] + by_torque * response.torque_by
+        torque, by_acceleration, by_torque = self.drives.torque(speed, acceleration, response.torque)
+        acceleration_by = motion.derivatives(self._fractions)[:, 4:6]
+        return torque, by_acceleration[..., np.newaxis] * acceleration_by + by_torque[
+            ..., np.newaxis
+        ] * response.torque_by
+
+    def _shares(self, motion: DesignedMotion, response: Response) -> RealArray:
+        """Derivatives of the torques of the shafts relative to the largest at their speeds."""
+        torque, torque_by = self.shafts(motion, response)
+        largest, slope = self.drives.largest(motion.evaluate(self._fractions, 1)[1])
+        by_speed = -torque * slope / largest**2
+        return torque_by / largest[..., np.newaxis] + by_speed[..., np.newaxis] * self.speed_derivatives(motion)
 
     def derivatives(self, names: Iterable[str], motion: DesignedMotion, response: Response) -> dict[str, RealArray]:
         """Their derivatives by the m variables, in one more dimension."""
@@ -315,8 +314,10 @@ class MotorLoads:
             "supply_power": lambda: (both > 0.0)[..., np.newaxis] * both_by(),
             "regenerated_power": lambda: (both < 0.0)[..., np.newaxis] * -both_by(),
             "regenerated_energy": lambda: integral(-both, -both_by()),
-            "motor_torque": lambda: self._of_shafts(self._shafts, motion, response)[1],
-            "square_motor_torque": lambda: squares(*self.heating_derivatives(motion, response)),
+            "motor_torque": lambda: self._shares(motion, response),
+            "square_motor_torque": lambda: (
+                squares(*self.shafts(motion, response)) / self.drives.continuous[:, np.newaxis] ** 2
+            ),
         }
         return {
             name: response.loads_by[:, :, self._link_loads[name]] if name in self._link_loads else find[name]()
@@ -419,10 +420,8 @@ class LimitRows:
             squares += 2.0 * of_cycle["square_torque"][:, np.newaxis] * share
         found = np.einsum("pnj,pnja,pnjb->ab", squares, by, by, optimize=True)
         if "square_motor_torque" in of_cycle:
-            own, own_by = (
-                2.0 * of_cycle["square_motor_torque"][:, np.newaxis] * share,
-                self._motors.heating_derivatives(motion, response)[1],
-            )
+            own = 2.0 * of_cycle["square_motor_torque"][:, np.newaxis] * share / self._motors.drives.continuous**2
+            own_by = self._motors.shafts(motion, response)[1]
             found += np.einsum("pnj,pnja,pnjb->ab", own, own_by, own_by, optimize=True)
         p, n, j = np.nonzero(products)
         cross = (products[p, n, j, np.newaxis] * by[p, n, j]).T @ speed_by[n, j]

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.goals import MET, RATES, Goals, Variation, peak_rates
+from flexfmu.cosim.design.plans.sampled_loop import loop_run, tracking_error, with_learned_torques
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.results import Recording
@@ -362,27 +362,25 @@ class Judge:
                 weights=times,
             )
             heat = np.sqrt(motors * self._heating(sum(times)))
+            power, motor_torque, motor_speed = (
+                np.max([getattr(peaks, name) for peaks in each], axis=0).tolist()
+                for name in ("power", "motor_torque", "motor_speed")
+            )
             found.append(
                 Peaks(
                     first,
                     torque=(torque[0][0], torque[1][0]),
                     torque_time=(torque[0][1], torque[1][1]),
                     rms_torque=(float(squares[0] ** 0.5), float(squares[1] ** 0.5)),
-                    power=(max(peaks.power[0] for peaks in each), max(peaks.power[1] for peaks in each)),
+                    power=(power[0], power[1]),
                     residual=max(peaks.residual for peaks in each),
                     energy=sum(peaks.energy for peaks in each),
                     supply_power=max(peaks.supply_power for peaks in each),
                     regenerated_power=max(peaks.regenerated_power for peaks in each),
                     regenerated_energy=sum(peaks.regenerated_energy for peaks in each),
-                    motor_torque=(
-                        max(peaks.motor_torque[0] for peaks in each),
-                        max(peaks.motor_torque[1] for peaks in each),
-                    ),
+                    motor_torque=(motor_torque[0], motor_torque[1]),
                     motor_rms_torque=(float(heat[0]), float(heat[1])),
-                    motor_speed=(
-                        max(peaks.motor_speed[0] for peaks in each),
-                        max(peaks.motor_speed[1] for peaks in each),
-                    ),
+                    motor_speed=(motor_speed[0], motor_speed[1]),
                     off_path=max(peaks.off_path for peaks in each),
                     clearance=min(peaks.clearance for peaks in each),
                     reaction=max(peaks.reaction for peaks in each),
@@ -416,7 +414,8 @@ class Judge:
 
     def _in_the_loop(self, scene: Scene, candidate: Candidate) -> Limit:
         """The residual vibration that the scene's controllers leave, with its own payload."""
-        run = loop_run(with_learned_torques(scene, candidate), candidate)
+        dwell = candidate.scene.trajectory.dwell
+        run = loop_run(with_learned_torques(scene, candidate.joints, dwell), candidate.joints, dwell)
         where = f"loop, {scene.payload.mass:g} kg, tracking error {1e3 * tracking_error(run):.3g} mrad"
         found = float(run.metrics["residual_vibration_amplitude"])
         return Limit("loop_residual", self.goals.wishes.residual, "m", rounding=MET).used(found, where)
@@ -515,95 +514,6 @@ class Judge:
             yield limit.used(value, where)
         if wishes.duration is not None:
             yield Limit("time", wishes.duration, "s", rounding=MET).used(found.time, "whole motion")
-
-
-def loop_run(scene: Scene, candidate: Candidate) -> Run:
-    """The run of a candidate's joint references with the controllers of a scene.
-
-    Raises:
-        TrajectoryError: the motion isn't feasible.
-        ResultsError: the loop is unstable, or fails otherwise.
-    """
-    references = candidate.joints
-    joints = SimpleNamespace(
-        coordinates="joints",
-        duration=references.duration,
-        breakpoints=references.breakpoints,
-        evaluate=references.evaluate,
-    )
-    dwell = max(scene.trajectory.dwell, candidate.scene.trajectory.dwell)
-    loop = own_loop(scene.replace({"shaper": [], "trajectory.dwell": dwell}), cast(Trajectory, joints))
-    run = PreparedScene(loop.motion.scene, loop=loop).run()
-    if run.outcome is Outcome.INTERRUPTED:
-        raise KeyboardInterrupt
-    if not run.completed:
-        raise ResultsError(f"{candidate.label} with the controllers of scene {scene.name}: {run.message}")
-    return run
-
-
-LEARNED, SETTLED = 10, 0.03
-"""Runs from which the torques of a loop are learned, and time after the motion up to which they are [s]."""
-
-AHEAD, SMOOTHED = 2.5, 6
-"""How many samples later the error tells what a torque lacks, and how often corrections are averaged over three samples: a loop amplifies
-what changes from sample to sample."""
-
-FINE: Mapping[str, Mapping[str, Any]] = {"encoder": {"counts_per_turn": 1e12}, "quantisation": {"resolution": 1e-12}}
-"""Imperfections that are learned without their rounding."""
-
-
-def with_learned_torques(scene: Scene, candidate: Candidate) -> Scene:
-    """The scene whose PD or PID loop follows a candidate's references exactly, but for rounding: its feedforward is corrected.
-
-    What the controllers would answer to the tracking error of a run is added to the torques of the next one (iterative learning, see
-    `flexfmu.cosim.control.controllers.iterative_learning`); delays and sampled velocities no longer pull the robot off its motion.
-
-    Raises:
-        TrajectoryError, ResultsError: as `loop_run`.
-    """
-    gains, last = [each for each in scene.controller if each.kind in ("pd", "pid")], scene.controller[-1]
-    if last.kind != "feedforward" or last.robot != "flexible" or last.sample_time is None or len(gains) != 1:
-        return scene
-    data = scene.model_dump(exclude_none=True)
-    quiet = [
-        {**each, **FINE.get(each["kind"], {})}
-        for each in data["imperfection"]
-        if each["kind"] not in ("noise", "jitter")
-    ]
-    proportional, derivative = (np.array(getattr(gains[0], key)) for key in ("proportional", "derivative"))
-    instants = last.sample_time * (
-        np.arange(math.ceil((candidate.joints.duration + SETTLED) / last.sample_time)) + AHEAD
-    )
-    correction, best = np.zeros((len(instants) + 1, 2)), (math.inf, scene)
-
-    def corrected(torques: RealArray, imperfection: Any) -> Scene:
-        feedforward = {**data["controller"][-1], "correction": np.round(torques, 7).tolist()}
-        return scene.replace({"controller": [*data["controller"][:-1], feedforward], "imperfection": imperfection})
-
-    for _ in range(LEARNED):
-        run = loop_run(corrected(correction, quiet), candidate)
-        if (left := float(run.metrics["residual_vibration_amplitude"])) < best[0]:
-            best = left, corrected(correction, data["imperfection"])
-        time, motion = (
-            run.recording.time,
-            candidate.joints.evaluate(np.minimum(instants, candidate.joints.duration), 1, "left"),
-        )
-        motion[1, instants > candidate.joints.duration] = 0.0
-        for joint in range(2):
-            errors = [
-                motion[k, :, joint] - np.interp(instants, time, run.recording[f"joint{joint + 1}.{name}"].values)
-                for k, name in enumerate(("position", "velocity"))
-            ]
-            answer = proportional[joint] * errors[0] + derivative[joint] * errors[1]
-            for _ in range(SMOOTHED):
-                answer = np.convolve(np.pad(answer, 1, mode="edge"), (0.25, 0.5, 0.25), mode="valid")
-            correction[:-1, joint] += answer
-    return best[1]
-
-
-def tracking_error(run: Run) -> float:
-    """Largest tracking error of both joints [rad]."""
-    return max(float(run.metrics[f"peak_tracking_error_{joint}"]) for joint in (1, 2))
 
 
 def cases_of(variations: Sequence[Sequence[Variation]]) -> list[NDArray[np.intp]]:

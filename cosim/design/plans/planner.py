@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.assessment import FIGURES, Assessment, Candidate, Judge, with_learned_torques
+from flexfmu.cosim.design.plans.assessment import FIGURES, Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.drive_table import DriveTable, drive_table
 from flexfmu.cosim.design.plans.goals import Goals, check_holding_torque, checked_goals, judged_scene
 from flexfmu.cosim.design.plans.optimal import flexible, optimal
 from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
+from flexfmu.cosim.design.plans.sampled_loop import with_learned_torques
 from flexfmu.cosim.design.plans.search import search
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.showing import Rows, ShowProgress, quiet, shown_unit
@@ -118,10 +119,8 @@ class PlanResult(Rows):
         scene, mass, loop = self.chosen.candidate.scene, self.goals.payload, self.goals.loop
         if loop is not None:
             # the motion, followed by the controllers
-            loop, parts = (
-                with_learned_torques(loop, self.chosen.candidate),
-                ("cosimulation", "controller", "imperfection", "filter", "disturbance"),
-            )
+            loop = with_learned_torques(loop, self.chosen.candidate.joints, scene.trajectory.dwell)
+            parts = ("cosimulation", "controller", "imperfection", "filter", "disturbance")
             scene = scene.model_copy(update={key: getattr(loop, key) for key in parts})
         return scene if mass is None else scene.replace({"payload.mass": mass})
 

@@ -1,7 +1,7 @@
 """Whether what a plan promises holds beyond the model that it was planned with.
 
-The planned joint references drive richer models of the robot, robots at the corners of the bands, the finite elements, and a robot
-whose motors follow by a computed-torque loop with encoders. Limits relative to the given motion are those of the given motion
+The planned joint references drive richer models of the robot, robots at the corners of the bands, the finite elements, and robots
+whose motors follow by loops with encoders: the scene's own with other payloads, or two usual ones. Limits relative to the given motion are those of the given motion
 in the same model.
 """
 
@@ -10,14 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.assessment import STEP, Candidate, Judge, loop_run, tracking_error, with_learned_torques
+from flexfmu.cosim.design.plans.assessment import STEP, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, Variation, goals_of
+from flexfmu.cosim.design.plans.sampled_loop import joint_motion, loop_run, tracking_error, with_learned_torques
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.model.finite_elements.motion import equilibrium, simulate
@@ -27,7 +27,6 @@ from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import damped_modes
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.trajectory import Trajectory
 
 RICHER: Mapping[str, Mapping[str, Any]] = {
     "distal bending": {"effects.distal_bending": 3},
@@ -102,11 +101,8 @@ def frozen(candidate: Candidate) -> Candidate:
         TrajectoryError: the motion isn't feasible.
     """
     planned = candidate.prepared().run().plan
-    joints, scene = planned.joints, planned.scene.replace({"shaper": []})
-    motion = SimpleNamespace(
-        coordinates="joints", duration=joints.duration, breakpoints=joints.breakpoints, evaluate=joints.evaluate
-    )
-    return Candidate(candidate.label, candidate.method, scene, cast(Trajectory, motion))
+    scene = planned.scene.replace({"shaper": []})
+    return Candidate(candidate.label, candidate.method, scene, joint_motion(planned.joints))
 
 
 def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOWHERE) -> Iterator[RobustnessLine]:
@@ -133,7 +129,7 @@ def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOW
     if goals.loop is None:
         lines |= {name: partial(_in_a_loop, controllers, fixed, goals) for name, controllers in LOOPS.items()}
     else:
-        loop = with_learned_torques(goals.loop, candidate)
+        loop = with_learned_torques(goals.loop, candidate.joints, goals.scene.trajectory.dwell)
         lines |= {
             f"the scene's loop, {mass:g} kg": partial(_other_payload, mass, fixed, loop)
             for mass in dict.fromkeys(goals.band)
@@ -197,7 +193,11 @@ def _other_payload(mass: float, fixed: Candidate, loop: Scene, name: str) -> Rob
     """The scene's own loop with a payload that its feedforward doesn't know."""
     payload = {"kind": "payload-error", "relative": mass / loop.payload.mass - 1.0} if loop.payload.mass else None
     imperfections = loop.model_dump(exclude_none=True).get("imperfection", ())
-    run = loop_run(loop.replace({"imperfection": [*imperfections, payload]}) if payload else loop, fixed)
+    run = loop_run(
+        loop.replace({"imperfection": [*imperfections, payload]}) if payload else loop,
+        fixed.joints,
+        fixed.scene.trajectory.dwell,
+    )
     note = f"tracking error {1e3 * tracking_error(run):.3g} mrad"
     return RobustnessLine(name, float(run.metrics["residual_vibration_amplitude"]), f"{mass:g} kg", note=note)
 
@@ -214,7 +214,7 @@ def _in_a_loop(controllers: Sequence[Mapping[str, Any]], fixed: Candidate, goals
             "filter": [],
         }
     )
-    run = loop_run(scene, fixed)
+    run = loop_run(scene, fixed.joints)
     return RobustnessLine(
         name, float(run.metrics["residual_vibration_amplitude"]), f"{scene.payload.mass:g} kg",
         note=f"encoders of {COUNTS:.0e} counts, tracking error {1e3 * tracking_error(run):.3g} mrad",

@@ -17,11 +17,12 @@ import pytest
 
 import flexfmu
 from flexfmu.cosim.design.plans import optimal as method
-from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, loop_run, with_learned_torques
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, goals_of
 from flexfmu.cosim.design.plans.optimal import optimal
 from flexfmu.cosim.design.plans.planned_files import write_plan
 from flexfmu.cosim.design.plans.planner import PlanResult, plan_scene
+from flexfmu.cosim.design.plans.sampled_loop import loop_run, with_learned_torques
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.many.journal import FILE, WorkJournal, about_scene
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
@@ -237,10 +238,8 @@ def test_the_loop_is_in_the_plan_and_in_its_file(tmp_path: Path, monkeypatch: py
     scene = result.goals.scene.replace(
         {**loop, "controller": [lagging, {"kind": "feedforward", "robot": "flexible", "sample_time": 1e-3}]}
     )
-    pair = (
-        loop_run(each, result.chosen.candidate)
-        for each in (scene, with_learned_torques(scene, result.chosen.candidate))
-    )
+    joints = result.chosen.candidate.joints
+    pair = (loop_run(each, joints) for each in (scene, with_learned_torques(scene, joints)))
     before, after = (float(each.metrics["residual_vibration_amplitude"]) for each in pair)
     assert after < 0.2 * before
     with pytest.raises(InputError, match="follow exactly"):
