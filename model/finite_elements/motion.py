@@ -3,7 +3,7 @@ prescribed motor angles, by the Radau IIA method of order 5.
 
 The unknowns of a step are the accelerations at its three stages; rates and coordinates follow from them. The equations
 of motion hold at every stage. The last one is the end of the step, so that accelerations and torques have the accuracy of the
-method; see `flexfmu.model.radau`.
+method; see `flexfmu.model.collocation`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import eigh, lu_factor, lu_solve
 
+from flexfmu.model.collocation import collocation
 from flexfmu.model.finite_elements.robot import HELD, MOTORS, FiniteElementRobot
-from flexfmu.model.radau import radau
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory
@@ -84,7 +84,7 @@ def _columns(*vectors: RealArray) -> tuple[RealArray, ...]:
     return tuple(vector[:, None] for vector in vectors)
 
 
-METHOD = radau(3)
+METHOD = collocation("radau", 3)
 
 CONVERGED = 1e-6
 """Newton's method has converged when no acceleration changes by more than this fraction of `SCALE` + the largest."""

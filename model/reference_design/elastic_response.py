@@ -1,6 +1,6 @@
 """Elastic motion under joint references, for several variants of a robot at once, with derivatives by the references.
 
-In the normalised time s = t / T the equations of motion F(q, q'/T, q''/T², u) = 0 are integrated by Radau IIA with three stages.
+In the normalised time s = t / T the equations of motion F(q, q'/T, q''/T², u) = 0 are integrated by Gauss's method with three stages.
 Its unknowns z are q'' at the stages; q' and q follow linearly, whatever T. Newton's method runs over the whole motion: the
 matrices of all steps are inverted at once, and a recursion from step to step solves the linear equations. The same recursion
 with the columns dF/du du/dx as loads gives the derivatives of the discrete solution by all design variables x, exactly
@@ -22,8 +22,8 @@ import numpy as np
 from scipy.linalg import eigh
 
 from flexfmu.model.beams import LINKS, fibre_strains
+from flexfmu.model.collocation import collocation
 from flexfmu.model.five_bar import FiveBar, assemble
-from flexfmu.model.radau import radau
 from flexfmu.model.reference_design.joint_spline import DesignedMotion
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
@@ -36,7 +36,7 @@ PointFunction = Callable[[Sequence[RealArray]], list[RealArray]]
 Evaluate = Callable[[casadi.Function], PointFunction]
 """Makes a function of N points from one of scalar operations with dense vectors."""
 
-METHOD = radau(3)
+METHOD = collocation("legendre", 3)
 
 CONVERGED, NEARLY = 1e-11, 1e-9
 """Newton's method has converged when no elastic coordinate changes by more [m or rad]; positions are wanted to 1e-7 m. The second is for
@@ -148,8 +148,8 @@ class ElasticResponse:
             matrices = self._renewed(z, references, duration, derivatives=True)
             values = matrices.values
         n = self.model.n
-        q_end, rate_end = (each[:, -1] for each in self._integrated(z))
-        end = np.stack([q_end, rate_end / duration], axis=1)
+        end = self._begins(z)[:, -1].copy()
+        end[:, 1] /= duration
         if matrices is None:
             out, end_by = np.empty((*values.shape[:2], values.shape[2] - n, 0)), np.empty((*end.shape, 0))
         else:
@@ -188,18 +188,22 @@ class ElasticResponse:
             f"the elastic motion in {duration:.6g} s has no solution: the links are too soft for its loads"
         )
 
+    def _begins(self, z: RealArray, start: RealArray | float | None = None) -> RealArray:
+        """q and q' at the start of each step and at the end of the last one (P, steps + 1, 2, n) from z, at rest at the start."""
+        h, of_step = 1.0 / self.steps, z.reshape(len(z), self.steps, 3, -1)
+        found = np.zeros((len(z), self.steps + 1, 2, z.shape[2]))
+        place, rate = found[:, :, 0], found[:, :, 1]
+        np.cumsum(h * (METHOD.whole @ of_step), axis=1, out=rate[:, 1:])
+        np.cumsum(h * h * (METHOD.whole_twice @ of_step) + h * rate[:, :-1], axis=1, out=place[:, 1:])
+        place += self._start[:, np.newaxis] if start is None else start
+        return found
+
     def _integrated(self, z: RealArray, start: RealArray | float | None = None) -> tuple[RealArray, RealArray]:
         """q and q' at all stages (P, N, n) from z, at rest at the start."""
-        h, (count, stages, n) = 1.0 / self.steps, z.shape
-        of_step = z.reshape(count, self.steps, 3, n)
-        rate, place = h * (METHOD.matrix @ of_step), h * h * (METHOD.twice @ of_step)
-        # values at the start of each step
-        rates = np.cumsum(rate[:, :, 2], axis=1) - rate[:, :, 2]
-        moves = place[:, :, 2] + h * rates
-        begin = self._start[:, np.newaxis] if start is None else start
-        places = np.cumsum(moves, axis=1) - moves + begin
-        q = places[:, :, np.newaxis] + (h * METHOD.nodes)[:, np.newaxis] * rates[:, :, np.newaxis] + place
-        return q.reshape(count, stages, n), (rates[:, :, np.newaxis] + rate).reshape(count, stages, n)
+        h, of_step, begins = 1.0 / self.steps, z.reshape(len(z), self.steps, 3, -1), self._begins(z, start)
+        places, rates = begins[:, :-1, 0, np.newaxis], begins[:, :-1, 1, np.newaxis]
+        q = places + (h * METHOD.nodes)[:, np.newaxis] * rates + h * h * (METHOD.twice @ of_step)
+        return q.reshape(z.shape), (rates + h * (METHOD.matrix @ of_step)).reshape(z.shape)
 
     def _values(self, z: RealArray, references: RealArray, duration: float) -> RealArray:
         q, rate = self._integrated(z)
@@ -246,7 +250,7 @@ class _Matrices:
         self._inverse = np.linalg.inv(by_z[:, :, :, :n].reshape(count, steps, 3 * n, 3 * n))
         self._of_state = by_state[:, :, :, :n].reshape(count, steps, 3 * n, 2 * n)
         # from stage values to the next state, and from state to state
-        weights = np.stack([h * h * METHOD.twice[2], h * METHOD.matrix[2]])
+        weights = np.stack([h * h * METHOD.whole_twice, h * METHOD.whole])
         inverse = self._inverse.reshape(count, steps, 3, n * 3 * n)
         self._next = (weights @ inverse).reshape(count, steps, 2 * n, 3 * n)
         self._transition = np.kron(np.array([[1.0, h], [0.0, 1.0]]), np.eye(n)) - self._next @ self._of_state

@@ -211,7 +211,7 @@ class MotorLoads:
     ) -> None:
         steps = len(fractions) // 3
         self._fractions, self._holding, self._pause, self._drives = fractions, holding, pause, drives
-        self.weights = np.tile(METHOD.matrix[-1], steps) / steps
+        self.weights = np.tile(METHOD.whole, steps) / steps
         edges = np.cumsum([0, *(LINK_LOADS[name][0] for name in link_loads)]).tolist()
         self._link_loads = {name: slice(*each) for name, each in zip(link_loads, pairwise(edges), strict=True)}
 
@@ -1048,8 +1048,8 @@ CHECKED = np.array([3e-4, 1e-4, 1e-4, 1e-4, 1.5e-2, 1e-3, *[3e-4] * (len(GROUPS)
 ROUNDS = 4
 """Largest number of evaluations of all variants on the fine grid."""
 
-FINER = 2
-"""How much finer that grid is."""
+PHASE, FINER = 2.5, 2
+"""Phase [rad] of the faster of the two lowest modes of the lightest robot in a step of the coarse grid, at most, and how much finer the other grid is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -1074,7 +1074,6 @@ def optimal_motion(
     loads: Mapping[str, RealArray] | None = None,
     nodes: Sequence[int] | None = None,
     *,
-    parts: int = 2,
     iterations: int = 40,
     loose: float = LOOSE,
     aim: Aim = "time",
@@ -1085,7 +1084,6 @@ def optimal_motion(
         ways: the motion, or the ways of a cycle, each of which starts where the one before ends.
         loads: limits of ``rms_torque`` (C, 2) [N m] and ``energy`` (C,) [J] of all ways with the pauses after them, for each case.
         nodes: indices of the cases that the programmes have; None for `NODES` that are denser near both ends.
-        parts: steps of the integration for each interval of the splines.
         iterations: largest number of programmes in each stage.
         loose: bound of the residual vibration [m] in the first stages; the last bound is the least. Without a larger one the first
             motions are taken to be near the best ones.
@@ -1099,7 +1097,7 @@ def optimal_motion(
     """
     count, limit, loads = len(ways[0].cases), ways[0].limits.residual, loads or {}
     chosen = np.array(spread(count, NODES) if nodes is None else nodes)
-    motions, loose = tuple(way.start for way in ways), max(limit, loose)
+    motions, loose, parts = tuple(way.start for way in ways), max(limit, loose), max(map(_parts, ways))
 
     def stage_of(chosen: NDArray[np.intp], residual: float, excess: Mapping[str, float], parts: int) -> Stage:
         some = [
@@ -1162,6 +1160,14 @@ def optimal_motion(
                 worst.add(int(np.unravel_index(size.argmax(), size.shape)[0]))
         excess |= {name: excess.get(name, 1.0) * factor for name, factor in beyond.items()}
         chosen = np.unique([*chosen, *worst])
+
+
+def _parts(way: Way) -> int:
+    """Steps of the integration for each interval of a way's splines, at least two."""
+    robot, motion = way.robots[0], way.start
+    rest = VariantModel(robot.scene, [robot.changes], robot.evaluate).rest(motion.evaluate(0.0, 0)[0, 0])
+    highest = float(free_modes(rest).frequencies[:, :2].max(initial=0.0))
+    return max(2, math.ceil(highest * motion.duration / motion.intervals / PHASE))
 
 
 def spread(count: int, number: int) -> list[int]:

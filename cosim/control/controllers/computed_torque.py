@@ -21,8 +21,7 @@ from flexfmu.cosim.control.controllers.joints import TORQUE, joint_block, joint_
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.model import numeric
-from flexfmu.model.radau import radau
-from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.elastic_response import METHOD, ElasticResponse
 from flexfmu.model.scene.controllers import ComputedTorqueSection, FeedforwardSection, GravityFeedforwardSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
@@ -147,8 +146,8 @@ def mean_torques(
     references = joints.evaluate(np.clip(instants, 0.0, joints.duration), 2, "left")
     references[1:, (instants < 0.0) | (instants > joints.duration)] = 0.0
     torques = response.respond(np.hstack(list(references)), duration).torque[0]
-    # the mean over a step by the weights of Radau's quadrature, then over a sample
-    means = np.einsum("s,kpsj->kj", radau(3).matrix[-1], torques.reshape(before + count, parts, 3, 2)) / parts
+    # the mean over a step by the weights of Gauss's quadrature, then over a sample
+    means = np.einsum("s,kpsj->kj", METHOD.whole, torques.reshape(before + count, parts, 3, 2)) / parts
     return np.asarray(means[before:])
 
 

@@ -27,7 +27,6 @@ from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, metric
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun, OverBand
-from flexfmu.cosim.reports.summary import instability
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import parse_setting, split_values
@@ -136,8 +135,7 @@ def _given(argument: str, changes: Mapping[str, Any], load: Callable[[str, Mappi
 def _loaded(source: Source, show: ShowProgress, strict: bool) -> ComparedRun | Scene:
     """The run that a source has, or the scene that is to be run, its effects chosen."""
     if isinstance(source, Run):
-        measured = _measured(source)
-        return replace(measured, failure=failure_of(source) or _margins(source.scene, None)[1])
+        return _measured(source)
     if not isinstance(source, Scene):
         path = Path(source)
         if path.is_dir():
@@ -238,8 +236,7 @@ def _read(file: Path, name: str, strict: bool) -> ComparedRun:
     }
     stop, scene = summary.get("health", {}).get("stop_time"), summary.get("scene", {})
     duration = None if stop is None or "trajectory" not in scene else stop - scene["trajectory"].get("dwell", 0.0)
-    failure = instability(summary.get("health", {}))
-    return ComparedRun(name, recording, metrics, duration, failure=failure)
+    return ComparedRun(name, recording, metrics, duration)
 
 
 def _finite(recording: Recording, file: Path, strict: bool) -> Recording:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import flexfmu
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.model.radau import radau
+from flexfmu.model.collocation import collocation
 from flexfmu.model.reference_design.elastic_response import ElasticResponse, free_modes
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis, derivative_matrix, fitted, rest_matrix
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
@@ -96,14 +97,19 @@ def changed(motion: JointSpline, change: RealArray) -> JointSpline:
     return JointSpline(coefficients, motion.duration + change[-1])
 
 
-def test_the_tableau_is_that_of_the_book() -> None:
-    """Radau IIA of order 5: the last stage's weights are those of the step."""
-    root, method = 6**0.5, radau(3)
+def test_the_tableaus_are_those_of_the_book() -> None:
+    """Radau IIA of order 5, whose last stage's weights are those of the step, and Gauss of order 6."""
+    root, method = 6**0.5, collocation("radau", 3)
     assert method.nodes == pytest.approx([(4 - root) / 10, (4 + root) / 10, 1.0], rel=1e-15)
     assert method.matrix[-1] == pytest.approx([(16 - root) / 36, (16 + root) / 36, 1 / 9], rel=4e-15)
+    assert method.whole == pytest.approx(method.matrix[-1], rel=4e-15)
     for power in range(3):
         integrals = method.nodes ** (power + 1) / (power + 1)
         np.testing.assert_allclose(method.matrix @ method.nodes**power, integrals, atol=1e-15)
+    gauss = collocation("legendre", 3)
+    assert gauss.matrix[0] == pytest.approx([5 / 36, 2 / 9 - 15**0.5 / 15, 5 / 36 - 15**0.5 / 30], rel=4e-15)
+    assert gauss.whole == pytest.approx([5 / 18, 4 / 9, 5 / 18], rel=4e-15)
+    assert gauss.whole_twice @ gauss.nodes**2 == pytest.approx(1 / 12, rel=4e-15)
 
 
 def test_the_response_is_that_of_the_fmu(motion: JointSpline) -> None:
@@ -112,13 +118,12 @@ def test_the_response_is_that_of_the_fmu(motion: JointSpline) -> None:
     found = elastic.of_motion(motion, derivatives=False)
     for variant, values in enumerate(VARIANTS):
         run = flexfmu.run(shipped, trajectory=motion.trajectory(), tolerance=1e-8, parameters=values)
-        time, stages = run.recording.time, elastic.fractions * motion.duration
+        time, of_time = np.unique(run.recording.time, return_index=True)
+        stages = elastic.fractions * motion.duration
         for axis, name in enumerate("xy"):
             signal = run.recording[f"end_effector.position.{name}"].values
-            # linear interpolation at 0.2 ms is good to a few micrometres
-            np.testing.assert_allclose(found.position[variant, :, axis], np.interp(stages, time, signal), atol=4e-6)
-            at_end = signal[np.argmin(abs(time - motion.duration))]
-            assert found.position[variant, -1, axis] == pytest.approx(at_end, abs=1e-8)
+            interpolated = CubicSpline(time, signal[of_time])(stages)
+            np.testing.assert_allclose(found.position[variant, :, axis], interpolated, atol=2e-8)
             torque = run.recording[f"joint{axis + 1}.torque"].values
             assert abs(found.torque[variant, :, axis]).max() == pytest.approx(abs(torque).max(), rel=2e-3)
 
