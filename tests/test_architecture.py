@@ -91,7 +91,6 @@ ALONE = {
     "cosim.engine.master.program_image": "a run for a WebAssembly module",
     "cosim.engine.fmu.transfers": "values in and out of FMUs",
     "cosim.exchange.wrap": "an integrator around FMUs for model exchange",
-    "cosim.experiment.run_checks": "sizes, and detection of unstable loops",
     "cosim.experiment.table_motion": "motions from files",
     "cosim.studies.paper.figures": "drawing",
     "cosim.studies.paper.report": "a command",

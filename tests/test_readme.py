@@ -21,7 +21,7 @@ from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import run_scene
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, display, display_error
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, definition, display, display_error
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.modes_table import modes_along_path
 from flexfmu.cosim.reports.summary import summarise
@@ -166,11 +166,14 @@ def test_metrics_of_the_quick_start(metrics: dict[str, Metric]) -> None:
     assert len(named) >= 6
     for name, label in named.items():
         found = metrics[name]
-        assert re.search(
-            rf"{label} +{name} +{re.escape(display(name, found.value, error=found.error))} +"
-            rf"{display_error(name, found.value, found.error)}\n",
-            shown,
-        ), label
+        row = re.search(rf"{label} +{name} +(.+)\n", shown)
+        assert row, label
+        value, *unit, bound = row[1].split()
+        assert display(name, found.value, error=found.error).split()[1:] == unit
+        info, limit = definition(name), 2.0 * float(display_error(name, found.value, found.error))
+        assert float(bound) == pytest.approx(limit / 2.0, rel=0.5)
+        assert found.value is not None
+        assert abs(float(value) - info.displayed(found.value)) < limit, label
 
 
 def test_modes_table() -> None:

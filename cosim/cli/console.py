@@ -27,7 +27,7 @@ import typer
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder, to_json
-from flexfmu.errors import shortened
+from flexfmu.errors import remove_empty, shortened
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 
 PIPED_WIDTH = 120
-"""Columns of a table that goes into a file or another program."""
+"""Columns of a table that goes into a file or another program, unless the environment has `COLUMNS`."""
 
 
 def print_text(text: str) -> None:
@@ -101,9 +101,9 @@ def rich_output() -> Iterator[Console]:
     from rich.console import Console
 
     is_terminal, text = sys.stdout is not None and sys.stdout.isatty(), StringIO()
-    yield Console(
-        file=text, force_terminal=is_terminal or None, width=None if is_terminal else PIPED_WIDTH, highlight=False
-    )
+    columns = os.environ.get("COLUMNS", "")
+    width = None if is_terminal else int(columns) if columns.isdigit() and int(columns) else PIPED_WIDTH
+    yield Console(file=text, force_terminal=is_terminal or None, width=width, highlight=False)
     print_text(text.getvalue())
 
 
@@ -497,10 +497,30 @@ def check_scene_file(path: Path | None) -> None:
     """Check that a scene can be written there.
 
     Raises:
-        InputError: the name has another ending.
+        InputError: see `check_file`.
     """
-    if path is not None and path.suffix != ".toml":
-        raise InputError(f"a scene file ends in .toml, got {path}: write {path}.toml")
+    check_file(path, ".toml", "a scene file")
+
+
+def check_file(path: Path | None, ending: str, what: str) -> None:
+    """Check that a file can be written there, before anything runs.
+
+    Raises:
+        InputError: the name has another ending, or is that of a folder; or its folder can't be written.
+    """
+    if path is None:
+        return
+    if path.suffix != ending:
+        raise InputError(f"{what} ends in {ending}, got {path}: write {path}{ending}")
+    if path.is_dir():
+        raise InputError(f"{path} is a folder: name a file in it, {path / f'planned{ending}'} for example")
+    made = list[Path]()
+    try:
+        made = OutputFolder(path.parent).prepare()
+    except ResultsError as error:
+        raise InputError(f"{what} can't be written: {error}") from error
+    finally:
+        remove_empty(made)
 
 
 def write_results(

@@ -3,7 +3,7 @@ worth; gains and other keys of a scene, chosen by runs; input shapers, designed 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from time import monotonic
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from flexfmu.cosim.design.gains.tuner import TuneResult
+    from flexfmu.cosim.design.plans.drive_table import DriveTable
     from flexfmu.cosim.design.plans.planner import PlanResult
     from flexfmu.model.scene.schema import Scene
 
@@ -598,8 +599,8 @@ def plan(
     robust: bool = True,
     restart: bool = False,
     export: Path | None = None,
-    rate: float = 4000.0,
-    unit: str = "rad",
+    rate: float | None = None,
+    unit: str | None = None,
     counts: float | None = None,
     live: bool = False,
     settings: list[str] | None = None,
@@ -655,13 +656,21 @@ def plan(
     from flexfmu.cosim.design.gains.robustness import parse_band
     from flexfmu.cosim.design.identification.result import Identification
     from flexfmu.cosim.design.plans.assessment import file_candidate
-    from flexfmu.cosim.design.plans.drive_table import check_drive, write_drive_table
+    from flexfmu.cosim.design.plans.drive_table import check_drive
     from flexfmu.cosim.design.plans.planned_files import summary, write_plan, write_scene
     from flexfmu.cosim.design.plans.planner import METHODS, plan_scene
+    from flexfmu.cosim.engine.files import write_whole
     from flexfmu.cosim.many.journal import WorkJournal, about_scene
 
     console.check_scene_file(output)
-    check_drive(rate, unit, counts)
+    console.check_file(export, ".csv", "a drive's table")
+    drive = {key: value for key, value in (("rate", rate), ("unit", unit), ("counts", counts)) if value is not None}
+    if drive and export is None:
+        raise InputError(
+            f"--{next(iter(drive))} belongs to --export: name its file, --export drive.csv, or leave it out"
+        )
+    sampling: dict[str, Any] = {"rate": 4000.0, "unit": "rad", "counts": None, **drive}
+    check_drive(**sampling)
     if live:
         console.check_page_compiler()
     robot = console.load_changed(scene, settings)
@@ -693,18 +702,16 @@ def plan(
         show("writing the results", None)
         files = write_plan(result, folder) + (write_scene(result, output) if output is not None else [])
         if live:
-            from flexfmu.cosim.engine.files import write_whole
             from flexfmu.cosim.exchange.live import live_page
 
             show("compiling the planned motion for its page", None)
             write_whole(folder / "live.html", live_page(result.chosen.candidate.prepared().run()))
             files.append(folder / "live.html")
-        drive = dict[str, Any]()
+        table = None
         if export is not None:
             show("the motion as a drive reads it", None)
-            table, sampled = write_drive_table(result.goals, result.chosen.candidate, export, rate, unit, counts)
-            files.append(export)
-            drive = {"samples": len(table.torque), "rate": rate, "unit": table.unit, "residual": sampled.residual}
+            table = result.drive_table(**sampling)
+            files.append(write_whole(export, table.to_csv()))
     is_spent = budget is not None and monotonic() - started > budget
     if not result.interrupted:
         journal.remove()
@@ -716,20 +723,29 @@ def plan(
     names = [str(path) for path in files]
     console.print_result(
         json,
-        {**summary(result), **({"drive": drive} if drive else {}), "files": names},
+        {**summary(result), **({} if table is None else {"drive": _drive(table)}), "files": names},
         *_shown_plan(result),
-        *([_shown_drive(result, drive)] if drive else []),
+        *([] if table is None else [_shown_drive(table)]),
         f"results: {', '.join(names)}",
     )
-    return console.FAILURE if result.missed or (result.interrupted and not is_spent) else 0
+    is_missed = bool(result.missed) or (table is not None and not table.use.met)
+    return console.FAILURE if is_missed or (result.interrupted and not is_spent) else 0
 
 
-def _shown_drive(result: PlanResult, drive: Mapping[str, Any]) -> str:
-    """What the samples for a drive leave."""
-    return (
-        f"For the drive: {drive['samples']} samples at {drive['rate']:g} Hz in {drive['unit']}, which leave at most "
-        f"{1e6 * drive['residual']:.3g} µm of residual vibration (planned: {1e6 * result.chosen.residual:.3g} µm)."
-    )
+def _drive(table: DriveTable) -> dict[str, Any]:
+    """What the samples for a drive are and leave, as plain data."""
+    use = table.use
+    found = {"samples": len(table.torque), "rate": table.rate, "unit": table.unit}
+    return {**found, "residual": use.value, "limit": use.limit, "where": use.where, "met": use.met}
+
+
+def _shown_drive(table: DriveTable) -> str:
+    """Whether the samples for a drive keep the limit of the residual vibration."""
+    use = table.use
+    remedy = "--rate" if table.unit != "count" else "--rate or --counts"
+    found = f"{1e6 * use.value:.3g} {'of' if use.met else 'instead of'} {1e6 * use.limit:.3g} µm of residual vibration ({use.where})"
+    text = f"The table for the drive, {len(table.torque)} samples at {table.rate:g} Hz in {table.unit}, leaves {found}"
+    return f"{text}." if use.met else f"{text}: raise {remedy}, or plan with less --residual."
 
 
 def with_wishes(scene: Scene, wishes: dict[str, Any], limits: list[str]) -> Scene:
@@ -775,8 +791,13 @@ def _shown_plan(result: PlanResult) -> Iterator[RenderableType]:
     if result.ways:
         yield as_terminal_table(ways_table(result))
     yield as_terminal_table(limits_table(chosen), texts=("Unit", "Kept", "Where"))
-    # motions over the whole front, the given and the chosen one and those to compare with among them
+    # motions over the whole front, the given and the chosen one and those to compare with among them; the page has all figures
     table, count = front_table(result), len(result.table)
+    left_out = {"Method", *({"Jerk [rad/s³]", "Off path [mm]"} if "jerk" not in result.axes else {"Off path [mm]"})}
+    shown = [k for k, name in enumerate(table.header) if name not in left_out]
+    table = replace(
+        table, header=[table.header[k] for k in shown], rows=[[row[k] for k in shown] for row in table.rows]
+    )
     if count > SHOWN:
         spread = {round(k * (count - 1) / (SHOWN - 3)) for k in range(SHOWN - 2)}
         labels = {each.candidate.label for each in (chosen, given)}
@@ -784,7 +805,9 @@ def _shown_plan(result: PlanResult) -> Iterator[RenderableType]:
         rows = [row for k, (row, there) in enumerate(zip(table.rows, always, strict=True)) if k in spread or there]
         title = table.title if len(rows) == count else f"{table.title}: {len(rows)} of {count}, all in front.csv"
         table = replace(table, title=title, rows=rows)
-    yield as_terminal_table(table, texts=("Method", "Limits"))
+    yield as_terminal_table(table, texts=("Limits",))
+    kept = sum(each.feasible for each in result.assessed)
+    yield f"Tried: {len(result.assessed)} motions, {kept} within all limits; all are in plan.html and plan.json."
     if result.robustness:
         yield as_terminal_table(robustness_table(result), texts=("Model", "Worst for", "Limits"))
     yield f"{result.verdict[0].upper()}{result.verdict[1:]}."

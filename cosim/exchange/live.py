@@ -23,6 +23,7 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.design.margins.loop_warnings import loop_sentences
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.hermite import hermite_derivatives, hermite_scales
 from flexfmu.cosim.engine.master.program_image import FUNCTIONS, ProgramImage, program_image
@@ -32,6 +33,15 @@ from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.parameters import scene_values
+from flexfmu.cosim.experiment.run_checks import (
+    AT_REST,
+    BEYOND,
+    BEYOND_BEFORE_FAILURE,
+    GROWTH_AT_REST,
+    LASTING,
+    ON_THE_MOVE,
+    usual_speed,
+)
 from flexfmu.cosim.experiment.run_options import SceneOptions
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import PreparedScene, run_scene
@@ -133,6 +143,7 @@ def live_page(run: Run) -> str:
         ResultsError, EquilibriumError: as for `flexfmu.measure_run`.
     """
     summary = summarise(run, measure_run(run))
+    summary["health"] |= loop_sentences(run)
     return live_report(run, summary, _rest(run)).html
 
 
@@ -422,6 +433,7 @@ def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, table: _Table
         "stop": plan.stop_time,
         "duration": plan.task.duration,
         "band": run.scene.cosimulation.settling_band,
+        "divergence": _divergence(run),
         "breakpoints": [float(each) for each in parts.references.breakpoints],
         "sliders": _sliders(run, image, model["variables"], starts),
         "robot": _robot(run.robot),
@@ -483,6 +495,20 @@ def _sliders(
     if plan.repetition is None and plan.design is None and not plan.source and not run.scene.shaper:
         add("duration", plan.duration, [], "trajectory.duration", "s", label="duration of the motion")
     return found
+
+
+def _divergence(run: Run) -> dict[str, float]:
+    """From which velocity errors of its joints on a loop is unstable, see `divergence`; empty without a loop."""
+    if run.scene.cosimulation.drive != "torque" or not run.scene.controller:
+        return {}
+    speed = usual_speed(run)
+    sizes = {
+        "beyond": BEYOND * speed,
+        "beforeFailure": BEYOND_BEFORE_FAILURE * speed,
+        "atRest": AT_REST * speed,
+        "onTheMove": ON_THE_MOVE * speed,
+    }
+    return sizes | {"growth": GROWTH_AT_REST, "lasting": LASTING}
 
 
 def _robot(scene: Scene) -> dict[str, Any]:

@@ -117,8 +117,8 @@ SMALLEST, NOISE = -15, -12
 def printed(value: float | None, error: float | None = None, digits: int | None = None) -> tuple[str, str]:
     """Return a value with the digits that its error allows and no others, and a bound of the printed number's error.
 
-    The bound is the power of ten of the last digit; it covers the error and the rounding to that digit. An error of 0.3 and a
-    value of 73.6046 are ``74`` and ``1``, an error of 4e-7 makes ``73.604601`` and ``1e-6``.
+    The bound has one digit, in the place of the value's last one; it covers the error and the rounding to that digit. An error of
+    0.3 and a value of 73.6046 are ``73.6`` and ``0.4``, an error of 4e-7 makes ``73.6046009`` and ``5e-7``.
 
     Args:
         value: None or NaN where there is none, a dash.
@@ -129,11 +129,14 @@ def printed(value: float | None, error: float | None = None, digits: int | None 
         return "–", ""
     if error is None or not isfinite(error):
         return f"{float(value):.{digits or DIGITS_WITHOUT_ERROR}g}", ""
-    # the last digit: that of twice the error, or the last one that there may be
+    # the last digit: the first one of the error, or the last one that there may be
     size = floor(log10(abs(value))) if value else SMALLEST
-    last = max(size + 1 - (digits or DIGITS), SMALLEST, ceil(log10(2.0 * error) - 1e-12) if error > 0.0 else SMALLEST)
-    bound = f"1e{last}" if not -4 < last < 4 else f"{10.0**last:g}"
+    last = max(size + 1 - (digits or DIGITS), SMALLEST, floor(log10(error) + 1e-12) if error > 0.0 else SMALLEST)
     rounded = round(value, -last)
+    units = ceil((error + abs(rounded - value)) / 10.0**last - 1e-9) or 1
+    size_of_bound = floor(log10(units)) + last
+    bound = f"{units * 10.0**last:.0e}".replace("e-0", "e-").replace("e+0", "e")
+    bound = bound if not -4 < size_of_bound < 4 else f"{units * 10.0**last:.{max(-last, 0)}f}"
     if rounded == 0.0:
         return "0", bound if last > NOISE else ""
     size = floor(log10(abs(rounded)) + 1e-12)

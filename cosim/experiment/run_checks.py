@@ -143,9 +143,7 @@ def divergence(run: Run, velocities: Sequence[Column | None] | None = None) -> s
     if not known or run.recording.time.size < 2:
         return None
     time, joints, peak = run.recording.time, run.plan.joints, run.plan.top_speed
-    # a robot may fall until its controller catches it
-    fall = sqrt(hypot(*run.scene.effects.gravity) / run.scene.mechanism.proximal.length)
-    scale, rest = max(peak, fall), run.plan.stop_time - run.scene.trajectory.dwell
+    scale, rest = usual_speed(run), run.plan.stop_time - run.scene.trajectory.dwell
     step, unit = _step(run)
     measured = np.stack([*known.values()], axis=1)
     # most joints are too slow to be that far off, and come to rest: their references needn't be evaluated
@@ -173,6 +171,12 @@ def divergence(run: Run, velocities: Sequence[Column | None] | None = None) -> s
         f"joint{joint}.velocity is up to {error[worst]:.3g} rad/s off its reference, where the motion needs {peak:.3g} rad/s; the error "
         f"{grows} from {since:.6g} s on: the control loop is unstable; {_remedies(run)}"
     )
+
+
+def usual_speed(run: Run) -> float:
+    """The largest velocity [rad/s] that joints of a stable loop have: that of the motion, or of a fall until a controller catches it."""
+    fall = sqrt(hypot(*run.scene.effects.gravity) / run.scene.mechanism.proximal.length)
+    return max(run.plan.top_speed, fall)
 
 
 Growth = tuple[float, float]

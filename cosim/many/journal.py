@@ -52,13 +52,14 @@ class Journal:
         """
         self.size = 0
         try:
-            with self.path.open("ab+") as file:
-                file.seek(0)
+            with self.path.open("rb+") as file:
                 for line in file:
                     if line.endswith(b"\n"):
                         yield self.size, line
                         self.size += len(line)
                 file.truncate(self.size)
+        except FileNotFoundError:
+            return
         except OSError as error:
             raise ResultsError(f"can't read {self.path}: {error.strerror or error}") from error
 
@@ -114,14 +115,15 @@ class WorkJournal:
         note: Callable[[str], object] = lambda text: None,
         total: int | None = None,
     ) -> None:
-        self._known, self._lines, self.done = dict[str, Any](), None, 0
+        self._known, self._lines, self._head, self.done = dict[str, Any](), None, "", 0
         if folder is None:
             return
         self._lines = Journal(folder / FILE, restart=restart)
         head = json.loads(_text({"work": work, "flexfmu": version("flexfmu"), **(about or {})}))
         found = [each for _, line in self._lines.read() if (each := _read(line)) is not None]
         if not found:
-            self._lines.append(f"{_text(head)}\n")
+            # written with the first result: work that is refused leaves nothing
+            self._head = f"{_text(head)}\n"
         elif found[0] != head:
             before = found[0] if isinstance(found[0], dict) else {}
             raise InputError(
@@ -156,8 +158,8 @@ class WorkJournal:
                 raise ResultsError(f"{place} has no result of this work: begin anew with --restart") from None
         found = compute()
         if self._lines is not None:
-            self._lines.append(f"{_text([name, found])}\n")
-            self.done += 1
+            self._lines.append(f"{self._head}{_text([name, found])}\n")
+            self._head, self.done = "", self.done + 1
         return found
 
     def remove(self) -> None:

@@ -50,6 +50,9 @@ FIRST_METRICS = (
 )
 """Metrics shown at the top of reports."""
 
+RANKS = {"residual_vibration_amplitude": "rings least", "peak_torque_1": "has the smallest peak torque"}
+"""Metric → what the run with the smallest value does."""
+
 TILE_RUNS = 2
 """Runs whose values stand there."""
 
@@ -115,7 +118,7 @@ def comparison_page(runs: Sequence[ComparedRun], tables: Sequence[Table], plots:
         tables: of metrics, loops, and what else there is.
         plots: further plots, before those of the signals; their keys mustn't start with ``compared``.
     """
-    verdict = f"{_best(runs)}{len(runs)} runs, each in its colour; differences are relative to {runs[0].name}."
+    verdict = [*_ranks(runs), f"{len(runs)} runs, each in its colour; differences are relative to {runs[0].name}."]
     title = " · ".join(run.name for run in runs)
     return Page(title, verdict, [*plots, *signal_plots(runs)], tables, first_tiles(runs))
 
@@ -134,22 +137,23 @@ def first_tiles(runs: Sequence[ComparedRun]) -> list[tuple[str, Sequence[str]]]:
     return tiles
 
 
-def _best(runs: Sequence[ComparedRun]) -> str:
-    """Which run has the smallest residual vibration and which the smallest peak torque, in a sentence; empty where that isn't known."""
-    found = []
-    for name, text in (
-        ("residual_vibration_amplitude", "rings least"),
-        ("peak_torque_1", "has the smallest peak torque"),
-    ):
+def _ranks(runs: Sequence[ComparedRun]) -> Iterator[str]:
+    """Which runs are worth nothing, and which of the others has the smallest residual vibration and the smallest peak torque."""
+    names, failed = [run.name for run in runs], [place for place, run in enumerate(runs) if run.failure]
+    text = f"Unstable or failed: {', '.join(names[place] for place in failed)}. " if failed else ""
+    yield Figure.said(text, "failures", is_over=bool(failed), names=names, failed=failed)
+    for name, text in RANKS.items():
         values = {
             run.name: each.value
             for run in runs
-            if (each := run.metrics.get(name)) is not None and each.value is not None
+            if not run.failure and (each := run.metrics.get(name)) is not None and each.value is not None
         }
-        if len(values) > 1 and len({*values.values()}) > 1:
+        if len({*values.values()}) > 1:
             best = min(values, key=values.__getitem__)
-            found.append(f"{best} {text}, {display(name, values[best], 3)}")
-    return f"{'; '.join(found)}. " if found else ""
+            found = f"{best} {text}, {display(name, values[best], 3)}. "
+            info = definition(name)
+            facts: dict[str, Any] = {"factor": info.displayed(1.0), "unit": info.display_unit, "phrases": text}
+            yield Figure.said(found, "least", of=name, names=names, **facts)
 
 
 def loop_tables(runs: Sequence[ComparedRun]) -> Iterator[Table]:
@@ -207,11 +211,7 @@ def metrics_table(runs: Sequence[ComparedRun]) -> Table:
 
 def _cell(name: str, measured: Metric, first: Metric, run: int) -> str:
     """Return a value, with its difference from the first run's in percent."""
-    text = display(name, measured.value, error=measured.error)
-    if measured is not first and measured.value is not None and first.value:
-        difference = f"{100.0 * (measured.value - first.value) / abs(first.value):+.3g}".replace("-", "−")
-        text = f"{text} ({difference} %)"
-    return Figure.of(name, measured.value, run=run, text=text, is_compared=run > 0)
+    return Figure.of(name, measured.value, run=run, error=measured.error, base=first.value if run else None)
 
 
 def signal_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:

@@ -21,12 +21,16 @@ WIDTH, HEIGHT = 374.4, 194.4
 """Usual size of plots [pt]."""
 
 
+PLAIN = "–", "{}", "{}"
+"""How a figure is said without a value, within its limit, and otherwise."""
+
+
 class Figure(str):
-    """A metric's value as text, which a page that simulates computes anew.
+    """A metric's value in words, which a page that simulates says anew.
 
     Attributes:
-        name: of the metric.
-        data: what the page's script needs, as JSON.
+        name: of the metric; one that the page's script doesn't compute stays as recorded.
+        data: what the script needs, as JSON.
         is_over: whether the value is beyond its limit.
     """
 
@@ -36,33 +40,48 @@ class Figure(str):
 
     @classmethod
     def of(
-        cls, name: str, value: float | None, *, run: int = 0, text: str = "", limit: float | None = None,
-        error: float | None = None, digits: int | None = None, is_compared: bool = False,
-    ) -> Self:  # fmt: skip
-        """A metric of one of the page's runs.
+        cls,
+        name: str,
+        value: float | None,
+        *,
+        run: int = 0,
+        error: float | None = None,
+        digits: int | None = None,
+        limit: float | None = None,
+        phrases: tuple[str, str, str] = PLAIN,
+        base: float | None = None,
+        is_relative: bool = False,
+    ) -> Self:
+        """A metric of one of the page's runs, with as many digits as its error allows.
 
         Args:
             name: of the metric.
             value: in SI units; None for none.
             run: place of the run among those of the page.
-            text: what is shown; empty for the value with as many digits as its ``error`` allows, or so many.
-            limit: largest value that is wanted; None for none.
             error, digits: as for `display`.
-            is_compared: whether the text has the difference from the first run's value.
+            limit: largest value that is wanted; None for none.
+            phrases: as `PLAIN`; the text stands in place of the braces.
+            base: value of the first run, from which the difference is said, too.
+            is_relative: whether the value is said relative to its limit.
         """
-        info = definition(name)
-        found = cls(
-            text or (display(name, value, error=error) if digits is None else display(name, value, digits, error))
-        )
-        found.name, found.is_over = name, limit is not None and value is not None and value > limit
-        facts = {
-            "run": run,
-            "factor": info.displayed(1.0),
-            "unit": info.display_unit,
-            "limit": limit,
-            "compared": is_compared,
-        }
-        found.data = json.dumps(facts)
+        info, text = definition(name), display(name, value, digits, error)
+        factor, unit = info.displayed(1.0), info.display_unit
+        is_over = value is not None and limit is not None and value > limit
+        if is_relative and value is not None and limit:
+            text, factor, unit = f"{value / limit:.3g}", 1.0 / limit, ""
+        if base and value is not None:
+            text += f" ({100.0 * (value - base) / abs(base):+.3g} %)".replace("-", "−")
+        within = value is not None and value <= (limit or 0.0)
+        phrase = phrases[0 if value is None else 1 if within else 2]
+        facts = {"factor": factor, "unit": unit, "limit": limit, "digits": 5 if phrases is PLAIN else digits}
+        facts |= {"compared": base is not None, "phrases": phrases}
+        return cls.said(phrase.replace("{}", text), name, is_over=is_over, run=run, **facts)
+
+    @classmethod
+    def said(cls, text: str, name: str = "", *, is_over: bool = False, **facts: Any) -> Self:
+        """A text that depends on the run, with what the script needs to say it anew."""
+        found = cls(text)
+        found.name, found.is_over, found.data = name, is_over, json.dumps({"run": 0} | facts)
         return found
 
 
@@ -136,7 +155,7 @@ class Page:
 
     Attributes:
         title: heading.
-        verdict: what was found, in one or two sentences.
+        verdict: what was found, in one or two sentences; of a page that simulates in parts, among them figures.
         plots, tables: in their order, the tables before the plots.
         tiles: the main figures: what each is, and its values.
         lead: what the page is about.
@@ -149,7 +168,7 @@ class Page:
     """
 
     title: str
-    verdict: str
+    verdict: str | Sequence[str]
     plots: Sequence[Plot] = ()
     tables: Sequence[Table] = ()
     tiles: Sequence[tuple[str, Sequence[str]]] = ()
@@ -161,6 +180,11 @@ class Page:
     answers: tuple[str, Sequence[str], Sequence[Plot]] = ("", (), ())
     folded: Sequence[Table] = ()
     live: Live = RECORDED
+
+    @property
+    def sentences(self) -> Sequence[str]:
+        """The parts of the verdict."""
+        return [self.verdict] if isinstance(self.verdict, str) else self.verdict
 
     @property
     def html(self) -> str:

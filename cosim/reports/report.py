@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, display_error
 from flexfmu.cosim.reports.comparison import FIRST_METRICS
 from flexfmu.cosim.reports.page import RECORDED, Figure, Live, Page, Plot, Table, with_few_points
-from flexfmu.cosim.reports.summary import motor_rows, stress_rows, title_of
+from flexfmu.cosim.reports.summary import instability, motor_rows, stress_rows, title_of
 from flexfmu.cosim.reports.work_precision import ACCURACY
 from flexfmu.trajectories.path import BLENDS
 from flexfmu.trajectories.profiles import PROFILES
@@ -33,12 +33,12 @@ def report_page(summary: Mapping[str, Any], plots: Iterable[Plot], live: Live = 
     others = [plot for plot in drawn if not plot.key.startswith((ACCURACY, *FIRST_PLOTS))]
     page = Page(
         title_of(summary),
-        _verdict(summary, drawn),
+        [*_verdict(summary, drawn)],
         others,
         tiles=[_tile(name, summary) for name in FIRST_METRICS] if completed else (),
         lead=_motion_sentence(summary["scene"], summary.get("motion")),
         notices=list(_notices(summary)),
-        has_failed=not completed,
+        has_failed=not completed or bool(instability(summary["health"])),
         first=[plot for plot in drawn if plot.key in FIRST_PLOTS],
         answers=("Accuracy" if accuracy else "", accuracy, [plot for plot in drawn if plot.key.startswith(ACCURACY)]),
         folded=list(_tables(summary)),
@@ -49,7 +49,8 @@ def report_page(summary: Mapping[str, Any], plots: Iterable[Plot], live: Live = 
 
 def _notices(summary: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
     health = summary["health"]
-    if health["outcome"] != "completed":
+    completed = health["outcome"] == "completed"
+    if not completed:
         yield "The simulation did not finish.", health["message"]
     coarse = [
         f"{ALL_METRICS[each['metric']].label} {display(each['metric'], each['estimated_error'], digits=1)}"
@@ -61,8 +62,8 @@ def _notices(summary: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
             f"The communication step of {health['communication_step']:g} s is too coarse for some metrics.",
             f"It leaves these uncertain by about: {'; '.join(coarse)}. A smaller `cosimulation.step` resolves them.",
         )
-    if health["unstable_loop"]:
-        yield "The robot runs away from its references.", f"{health['unstable_loop']}."
+    if completed and (reason := instability(health)):
+        yield "The loop is unstable.", f"{reason[:1].upper()}{reason[1:]}."
     if health["large_deflections"]:
         sentences = " ".join(f"{each}." for each in health["large_deflections"])
         yield "Links deflect more than linear beam theory allows.", sentences
@@ -79,47 +80,55 @@ def _tile(name: str, summary: Mapping[str, Any]) -> tuple[str, Sequence[str]]:
     return definition(name).label + ("" if limit is None else f", limit {display(name, limit, 4)}"), [value]
 
 
-def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
-    """One sentence: how the run ended, its worst figure against a limit, what rings, and what bends."""
-    if summary["health"]["outcome"] != "completed":
-        return f"The run ended at {summary['health']['end_time'] or 0.0:g} s."
-    metrics, band = summary["metrics"], summary["scene"]["cosimulation"]["settling_band"]
-    residual, settling, parts = metrics["residual_vibration_amplitude"], metrics["settling_time"], list[str]()
+def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> Iterator[str]:
+    """One sentence in parts: whether it is stable, how the run ended, its worst figure against a limit, what rings, and what bends."""
+    health, metrics, band = summary["health"], summary["metrics"], summary["scene"]["cosimulation"]["settling_band"]
+    completed, stable = health["outcome"] == "completed", not instability(health)
+    recorded = "" if stable and completed else "Failed. " if stable else "Unstable. "
+    # the loop at rest is known of the recorded run alone
+    yield Figure.said(recorded, "state", is_over=bool(recorded), stays=completed and not health["unstable_loop"])
+    if not completed:
+        yield f"The run ended at {health['end_time'] or 0.0:g} s."
+        return
+
+    def figure(name: str, usual: str, *, none: str = "", least: str = "", **more: Any) -> Figure:
+        return Figure.of(name, metrics[name], digits=3, phrases=(none, least or usual, usual), **more)
+
+    residual = metrics["residual_vibration_amplitude"]
     if residual is not None:
-        settled = (
-            "does not settle"
-            if settling is None
-            else f"settles {display('settling_time', settling, 3)} after the motion"
-        )
-        ratio = f"{residual / band:.3g} times the settling band" if residual > band else "within the settling band"
-        parts.append(
-            f"The robot {settled}, with a residual vibration of {display('residual_vibration_amplitude', residual, 3)}, {ratio}"
-        )
+        settled = "settles {} after the motion", "has settled at the end of the motion"
+        yield "The robot "
+        yield figure("settling_time", settled[0], none="does not settle", least=settled[1])
+        yield ", with a residual vibration of "
+        yield figure("residual_vibration_amplitude", "{}, ")
+        relative = {"least": "within the settling band", "limit": band, "is_relative": True}
+        yield figure("residual_vibration_amplitude", "{} times the settling band", **relative)
         panel = next((plot.panels[0] for plot in plots if plot.key == "spectrum"), None)
         if panel is not None and panel.markers and residual > 0.0:
             peak = panel.markers[0]
             near = min(panel.marks, key=lambda mark: abs(mark[0] - peak.x), default=None)
             mode = f", natural frequency {near[1]}" if near is not None and abs(near[0] - peak.x) < 0.1 * peak.x else ""
-            parts[-1] += f", mostly at {peak.text}{mode}"
-    error, bending = metrics["peak_position_error"], metrics["peak_tip_deflection_1"]
-    if error is not None:
-        parts.append(f"it leaves its path by up to {display('peak_position_error', error, 3)}")
-        parts[-1] += f", while link 1 bends by {display('peak_tip_deflection_1', bending, 3)}" if bending else ""
+            yield Figure.said(f", mostly at {peak.text}{mode}")
+        yield "; it"
+    else:
+        yield "The robot"
+    yield figure("peak_position_error", " leaves its path by up to {}", none=" has no position error")
+    if metrics["peak_tip_deflection_1"]:
+        yield figure("peak_tip_deflection_1", ", while link 1 bends by {}")
     uses = [
         (each["use"], each["name"], motor["joint"]) for motor in summary.get("motors", ()) for each in motor["margins"]
     ]
     if uses:
         use, name, joint = max(uses)
-        parts.append(f"motor {joint} needs {100.0 * use:.3g} % of its {name}")
-    sentence = "; ".join(parts)
-    return f"{sentence[:1].upper()}{sentence[1:]}."
+        yield Figure.said(f"; motor {joint} needs {100.0 * use:.3g} % of its {name}")
+    yield "."
 
 
 def _tables(summary: Mapping[str, Any]) -> Iterable[Table]:
     """Yield the tables below the plots, without empty tables."""
     errors = summary["errors"]
     rows = [
-        [ALL_METRICS[name].label, name, Figure.of(name, value, error=errors[name]), display_error(name, value, errors[name]), ALL_METRICS[name].description]
+        [ALL_METRICS[name].label, name, Figure.of(name, value, error=errors[name]), Figure.said(display_error(name, value, errors[name]), name, isError=True), ALL_METRICS[name].description]
         for name, value in summary["metrics"].items()
     ]  # fmt: skip
     note = f"Metrics are properties of the continuous solution; {summary['health']['errors_from']}."

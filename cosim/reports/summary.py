@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.planning import MotionPlan
@@ -163,6 +164,13 @@ def summarise(run: Run, measurements: Mapping[str, Metric]) -> dict[str, Any]:
 def title_of(summary: Mapping[str, Any]) -> str:
     """Return the title of a summary: the scene's name, and what was changed on the command line."""
     return ", ".join([summary["scene"]["name"], *summary.get("changes", ())])
+
+
+def instability(health: Mapping[str, Any]) -> str:
+    """Why the loop of a summary is unstable, as its run shows or as it is about rest; empty where it isn't known to be."""
+    if health.get("outcome") == Outcome.LOOP_UNSTABLE.name.lower().replace("_", " "):
+        return str(health["message"])
+    return health.get("unstable_loop") or ("" if health.get("stable", True) else health.get("stability")) or ""
 
 
 def describe_effects(scene: Scene) -> dict[str, str]:

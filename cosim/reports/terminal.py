@@ -63,10 +63,15 @@ def titled_table(title: str, *columns: Column | str, numbers: Iterable[str] = ()
 
 
 def as_terminal_table(table: PageTable, texts: Collection[str] = ()) -> Table:
-    """Return a table of a page for the terminal: the first column, names and those of ``texts`` are texts, the others numbers."""
+    """Return a table of a page for the terminal: the first column, names and those of ``texts`` are texts, the others numbers.
+
+    Units of numbers stand below their names.
+    """
     first, *others = table.header
     named = others[:1] == ["Name"]
-    heads = (each if each in (*texts, "Name") else Column(each, justify="right") for each in others)
+    heads = (
+        each if each in (*texts, "Name") else Column(each.replace(" [", "\n["), justify="right") for each in others
+    )
     found = titled_table(table.title, first or " ", *heads, stacks=named)
     for row in table.rows:
         found.add_row(*row)
@@ -108,7 +113,7 @@ class FittingTable(Table):
             yield Text(", ".join(filter(None, map(str, cells[:names]))), style=row.style or "")
             for column, cell in zip(self.columns[names:], cells[names:], strict=True):
                 shown = cell if isinstance(cell, Text) else str(cell)
-                yield Text.assemble(f"  {column.header}: ", shown, style=row.style or "")
+                yield Text.assemble(f"  {column.header}: ".replace("\n", " "), shown, style=row.style or "")
             yield ""
 
     def _fits(self, console: Console, options: ConsoleOptions, width: int) -> bool:

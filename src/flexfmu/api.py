@@ -174,7 +174,8 @@ def run(
     told = loop_sentences(found)
     if (unstable := told["stability"]) is not None:
         warnings.warn(unstable, LoopWarning, stacklevel=2)
-    return replace(found, health=replace(found.health, messages=(*found.health.messages, *filter(None, told.values()))))
+    sentences = filter(None, (told["stability"], told["coarse_counts"]))
+    return replace(found, health=replace(found.health, messages=(*found.health.messages, *sentences)))
 
 
 def _live_page(run: Run) -> str:

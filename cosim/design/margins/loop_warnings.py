@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import replace
 from math import ceil, inf, log, pi
 from operator import mul
+from typing import TypedDict
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -42,6 +43,9 @@ NEAR = 1.1
 NOTICEABLE = 0.03
 """Relative difference from which a measure is noticeably worse."""
 
+UNSTABLE = "the loop is unstable"
+"""Begins the sentence on an unstable loop."""
+
 FARTHEST, STEPS = 20.0, 25
 """Largest change of an unstable loop's torques that is tried, and number of changes."""
 
@@ -66,15 +70,25 @@ NOT_LINEAR = (CosimError, SceneError, TrajectoryError, EquilibriumError, ValueEr
 """Errors of loops that can't be linearised."""
 
 
-def loop_sentences(run: Run) -> dict[str, str | None]:
-    """What there is to say of the stability of a run's loop, unless the run itself shows that it is unstable, and of its encoders."""
+class LoopSentences(TypedDict):
+    """What `loop_sentences` returns."""
+
+    stability: str | None
+    coarse_counts: str | None
+    stable: bool
+
+
+def loop_sentences(run: Run) -> LoopSentences:
+    """What there is to say of the stability of a run's loop, unless the run itself shows that it is unstable, and of its encoders;
+    and whether it is stable, as far as that is known."""
     stability, counts, scene = None, None, run.scene
     if scene.controller and run.health.unstable_loop is None:
         stability = stability_warning(run)
     if scene.controller and any(each.kind in KINDS for each in scene.imperfection):
         with suppress(*NOT_LINEAR):
             counts = coarse_counts(scene, *_wired(run))
-    return {"stability": stability, "coarse_counts": counts}
+    stable = run.health.unstable_loop is None and not (stability or "").startswith(UNSTABLE)
+    return {"stability": stability, "coarse_counts": counts, "stable": stable}
 
 
 @one_blas_thread()
@@ -127,7 +141,7 @@ def _sentence(loop: LinearLoop, where: str) -> str | None:
                 stable = f", with torques {percent:.3g} % {'smaller' if factor < 1.0 else 'larger'} it is stable"
                 break
         grows = f"small motions grow tenfold in {f'{1e3 * time:.3g} ms' if time < 1.0 else f'{time:.3g} s'}{at}"
-        return f"the loop is unstable {where}: {grows}{stable}; see `flexfmu margins`"
+        return f"{UNSTABLE} {where}: {grows}{stable}; see `flexfmu margins`"
     for factor, way in ((NEAR, "larger"), (1.0 / NEAR, "smaller")):
         if not is_stable(loop, factor):
             percent = 100.0 * abs(critical_gain(loop, factor) - 1.0)

@@ -49,6 +49,9 @@ STEP, TOLERANCE = 2e-4, 1e-8
 SAME_PLACE = 1e-5
 """Distance [m] within which a user's motion starts and ends where the scene's does."""
 
+JUDGED = 25
+"""Payloads of the band for which every motion is judged."""
+
 INSTANTS = 4001
 """Instants at which references are examined."""
 
@@ -218,6 +221,12 @@ class Assessment:
         return all(use.met for use in self.uses)
 
     @property
+    def excess(self) -> float:
+        """The largest share of a limit that it misses; 0 if it keeps to all."""
+        shares = (use.share for use in self.uses if not use.met)
+        return max((math.inf if math.isnan(each) else each for each in shares), default=0.0)
+
+    @property
     def residual(self) -> float:
         """Worst residual vibration [m]."""
         return max(each.residual for each in self.peaks)
@@ -295,8 +304,8 @@ class Judge:
         journal: where assessments are kept.
     """
 
-    def __init__(self, goals: Goals, payloads: int = 7, journal: WorkJournal = NOWHERE) -> None:
-        self.goals, self.variations, self._journal = goals, goals.variations(payloads), journal
+    def __init__(self, goals: Goals, payloads: int = JUDGED, journal: WorkJournal = NOWHERE) -> None:
+        self.goals, self.variations, self.journal = goals, goals.variations(payloads), journal
         self._payloads = payloads
         self._path = goals.trace
         self._tree = cKDTree(self._path)
@@ -318,12 +327,12 @@ class Judge:
         place = len(self.variations), "given" if given else candidate
         if place not in self.goals.judged:
             key = ["judged", len(self.variations), candidate.content]
-            self.goals.judged[place] = self._journal.kept(key, Judged, lambda: self._judged(candidate, given=given))
+            self.goals.judged[place] = self.journal.kept(key, Judged, lambda: self._judged(candidate, given=given))
         return Assessment(candidate, *self.goals.judged[place])
 
     def of_ways(self, candidate: Candidate, *, given: bool = False) -> tuple[Assessment, ...]:
         """The assessments of each way of a cycle; arguments and errors as for `assess`."""
-        judges = [Judge(each, self._payloads, self._journal) for each in self.goals.ways]
+        judges = [Judge(each, self._payloads, self.journal) for each in self.goals.ways]
         return tuple(
             judge.given if given else judge.assess(way) for judge, way in zip(judges, candidate.ways, strict=True)
         )

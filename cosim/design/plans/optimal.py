@@ -24,7 +24,7 @@ from flexfmu.cosim.design.plans.goals import FALLING, RATES, UNITS, Goals, Varia
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.planning import plan_rigid
-from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
+from flexfmu.cosim.many.journal import WorkJournal
 from flexfmu.model.reference_design import optimal_control
 from flexfmu.model.reference_design.elastic_response import LINK_LOADS, ElasticResponse, RobotVariant
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
@@ -91,9 +91,7 @@ Corrected = tuple[list[tuple[float, float]], float, int, str]
 motion), and with what follows the label."""
 
 
-def optimal(
-    goals: Goals, found: Sequence[Assessment], processes: int, show: ShowProgress, journal: WorkJournal = NOWHERE
-) -> Iterator[Candidate]:
+def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate | str]:
     """The best motions within the bands, from the given one on, each corrected until the FMU finds all limits kept.
 
     Arguments as for `planner.Method`.
@@ -101,11 +99,12 @@ def optimal(
     Raises:
         InputError: the given motion ends where it starts.
     """
+    goals = judge.goals
     if np.hypot(*(goals.trace[-1] - goals.trace[0])) < RETURN:
         raise InputError("optimal control plans a motion from one place to another, and this one ends where it starts")
     motions, nodes, few = _ways(goals)
     tight_ways, loads = limited(goals, found[0], motions)
-    attempt, judge = partial(_attempt, goals, nodes, show, journal), Judge(goals, PAYLOADS[0], journal)
+    attempt = partial(_attempt, goals, nodes, show, judge.journal)
 
     def made(splines: Sequence[JointSpline]) -> Candidate:
         time = sum(each.duration for each in splines) + sum(each.pause or 0.0 for each in goals.ways)
@@ -130,19 +129,20 @@ def optimal(
 
 def refined(
     judge: Judge,
-    attempt: Callable[..., Sequence[Motion] | None],
+    attempt: Callable[..., tuple[Sequence[Motion], bool] | None],
     made: Callable[[Sequence[Motion]], Candidate],
     ways: Sequence[optimal_control.Way],
     loads: Mapping[str, RealArray],
     loose: float,
     key: tuple[Any, ...],
     few: NDArray[np.intp] | None = None,
-) -> Generator[Candidate, None, bool]:
+) -> Generator[Candidate | str, None, bool]:
     """Motions from one start on, each with limits corrected by what the FMU finds; whether there are any.
 
     Args:
         judge: finds it.
-        attempt: a key of the journal, ways, loads and the first bound of the residual vibration → the best motions; None for none.
+        attempt: a key of the journal, ways, loads and the first bound of the residual vibration → the best motions, and whether they are
+            near enough to the limits to go on from them; None for none.
         made: the candidate of these motions.
         ways: the ways from their first motions on.
         loads: limits of loads of the cycle.
@@ -153,14 +153,18 @@ def refined(
     is_first, is_free = True, judge.goals.wishes.duration is None
     for number in range(TRIES):
         if few is None or number:
-            motions = attempt((*key, number), ways, loads, loose)
+            tried = attempt((*key, number), ways, loads, loose)
         else:
             some = {name: each[few] for name, each in loads.items()}
-            motions = attempt((*key, number), [way.of_cases(few) for way in ways], some, loose)
-        if motions is None:
+            tried = attempt((*key, number), [way.of_cases(few) for way in ways], some, loose)
+        if tried is None:
+            yield f"{', '.join(map(str, (*key, number)))}: no motion can be planned from there"
             return number > (few is not None)
+        motions, is_near = tried
         candidate = made(motions)
         yield candidate
+        if not is_near:
+            return number > (few is not None)
         judged = judge.assess(candidate)
         excess = excesses(judged)
         if few is not None and number == 0:
@@ -192,7 +196,7 @@ def _front(
     goals: Goals,
     given: Assessment,
     motions: Sequence[tuple[Robots, NDArray[np.intp]]],
-    attempt: Callable[..., list[JointSpline] | None],
+    attempt: Callable[..., tuple[list[JointSpline], bool] | None],
     judge: Judge,
 ) -> Iterator[Candidate]:
     """What is minimised for many levels of the front's other figures, each from the motion of the level before."""
@@ -212,7 +216,7 @@ def _front(
                 slower = max(((before[name] / each) ** FALLING[name] for name, each in factors.items()), default=1.0)
                 slower = 1.0 if again or goals.wishes.duration is not None else max(slower, 0.9)
                 ways, loads = _from_motions(unit_ways, unit_loads, excess, splines, slower)
-                next_splines = attempt(("front", number, again), ways, loads, 0.0, NEAR_FRONT)
+                tried = attempt(("front", number, again), ways, loads, 0.0, NEAR_FRONT)
             else:
                 wide = [replace(way, limits=way.limits.tightened(excess)) for way in unit_ways]
                 loads = {name: each / excess.get(name, 1.0) for name, each in unit_loads.items()}
@@ -220,10 +224,10 @@ def _front(
                     attempt(("front", number, share), _from_share(wide, share), loads, optimal_control.LOOSE)
                     for share in _shares(goals, given)
                 )
-                next_splines = next((each for each in tries if each is not None), None)
-            if next_splines is None:
+                tried = next((each for each in tries if each is not None and each[1]), None)
+            if tried is None or not tried[1]:
                 break
-            splines, before = next_splines, factors
+            splines, before = tried[0], factors
             levels_text = ", ".join(f"{name} {100.0 * share:.3g} %" for name, share in zip(axes, shares, strict=True))
             candidate = _candidate(goals, f"front: {levels_text}", splines)
             yield candidate
@@ -279,8 +283,8 @@ def _attempt(
     loads: Mapping[str, RealArray],
     loose: float,
     near: float = NEARLY,
-) -> list[JointSpline] | None:
-    """The best motions, from the journal or by optimal control; None if there are none whose violations are below a largest one."""
+) -> tuple[list[JointSpline], bool] | None:
+    """The best motions, from the journal or by optimal control, and whether their violations are below a largest one; None for none."""
 
     def best() -> Any:
         last: optimal_control.Improvement | None = None
@@ -297,9 +301,9 @@ def _attempt(
         return last and ([(*vars(each).values(),) for each in last.motions], max(last.violations.values()))
 
     found = journal.kept(key, Optimum, best)
-    if found is None or found[-1] >= near:
+    if found is None:
         return None
-    return [JointSpline(np.array(coefficients), *more) for coefficients, *more in found[0]]
+    return [JointSpline(np.array(coefficients), *more) for coefficients, *more in found[0]], found[1] < near
 
 
 def _candidate(goals: Goals, label: str, splines: Sequence[JointSpline]) -> Candidate:
@@ -462,22 +466,20 @@ def _given_loads(
     }
 
 
-def flexible(
-    goals: Goals, found: Sequence[Assessment], processes: int, show: ShowProgress, journal: WorkJournal = NOWHERE
-) -> Iterator[Candidate]:
+def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:
     """Yield motions with references for the flexible robot.
 
     Args:
-        goals: what to reach.
+        judge: knows what to reach.
         found: the given motion, and what else was assessed.
         processes: not used: a correction takes a few seconds.
         show: is called with what is being done.
-        journal: where the references are kept.
 
     Raises:
         InputError: the given motion is a table.
         TrajectoryError: there are no such references.
     """
+    goals = judge.goals
     if isinstance(goals.scene.trajectory, TableSection):
         raise InputError(
             f"scene {goals.scene.name} has a motion from a table, and references for the flexible robot follow a path"
@@ -488,7 +490,9 @@ def flexible(
         bare |= {"trajectory.way_back": "none", "trajectory.cycles": 1, "trajectory.pause": 0.0}
     scene = goals.scene.replace(bare)
     show("references for the flexible robot on the given path", None)
-    coefficients, duration, degree, note = journal.kept(("flexible",), Corrected, lambda: _references(goals, scene))
+    coefficients, duration, degree, note = judge.journal.kept(
+        ("flexible",), Corrected, lambda: _references(goals, scene)
+    )
     motors = JointSpline(np.array(coefficients), duration, degree)
     label = f"flexible references on the given path{note}"
     yield Candidate(label, "flexible references", scene, motors.trajectory())

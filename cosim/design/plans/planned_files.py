@@ -155,6 +155,16 @@ def summary(result: PlanResult) -> dict[str, Any]:
         "given": figures(result.given),
         "chosen": figures(result.chosen),
         "front": [figures(each) for each in result.front],
+        "tried": [
+            {
+                "motion": each.candidate.label,
+                "method": each.candidate.method,
+                "time": float(each.time),
+                "excess": float(each.excess),
+                "missed": {use.name: float(use.share) for use in each.uses if not use.met},
+            }
+            for each in result.assessed
+        ],
         "compared": [figures(each) for each in result.table if each not in result.front],
         "ways": [[figures(each) for each in pair] for pair in result.ways],
         "verdict": result.verdict,
@@ -184,6 +194,7 @@ def plan_page(result: PlanResult) -> str:
         *([ways_table(result)] if result.ways else []),
         limits_table(result.chosen),
         front_table(result),
+        tried_table(result),
     ]
     tables += [robustness_table(result)] if result.robustness else []
     plots = [_front_plot(result)]
@@ -243,17 +254,19 @@ def _shown(found: Assessment) -> list[str]:
 
 
 def ways_table(result: PlanResult) -> Table:
-    """What each way of a cycle needs, of the given and the chosen one."""
+    """What each way of a cycle needs, of the given and the chosen one, the worst of its payloads."""
     rows = []
-    for number, (goals, pair) in enumerate(zip(result.goals.ways, result.ways, strict=True), 1):
+    for number, pair in enumerate(result.ways, 1):
         for name, each in zip(NAMES, pair, strict=True):
-            rows.append([f"{number}, {name}", f"{goals.scene.payload.mass:.4g}", *_shown(each)])
+            masses = [peaks.variation.payload for peaks in each.peaks]
+            payloads = dict.fromkeys(f"{mass:.4g}" for mass in (min(masses), max(masses)))
+            rows.append([f"{number}, {name}", " to ".join(payloads), *_shown(each)])
     pauses = ", ".join(f"{goals.pause:g} s" for goals in result.goals.ways)
     return Table(
         "Ways of the cycle",
-        ["Way", "Payload [kg]", *FIGURES_SHOWN],
+        ["Way", "Payloads [kg]", *FIGURES_SHOWN],
         rows,
-        f"Each from rest; pauses after them: {pauses}.",
+        f"Each from rest, the worst of its payloads; pauses after them: {pauses}.",
     )
 
 
@@ -286,9 +299,17 @@ def front_table(result: PlanResult) -> Table:
     )
 
 
+def tried_table(result: PlanResult) -> Table:
+    """All motions that were tried, those nearest to the limits first."""
+    tried = sorted(result.assessed, key=lambda each: (each.excess, each.time))
+    rows = [[each.candidate.label, each.candidate.method, *_shown(each)[:2], standing(result, each)] for each in tried]
+    note = "Of what is missed, the largest share of its limit."
+    return Table("Motions that were tried", ["Motion", "Method", *FIGURES_SHOWN[:2], "Limits"], rows, note)
+
+
 def standing(result: PlanResult, found: Assessment) -> str:
-    """Whether a motion keeps to the limits, and whether it is the chosen one."""
-    missed = [use.name for use in found.uses if not use.met]
+    """Whether a motion keeps to the limits, what it needs of those that it misses, and whether it is the chosen one."""
+    missed = [f"{use.name} {use.share:.3g}x" for use in sorted(found.uses, key=lambda use: -use.share) if not use.met]
     text = f"misses {', '.join(missed)}" if missed else "kept"
     return f"{text}, chosen" if found is result.chosen else text
 

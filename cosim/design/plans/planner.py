@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.assessment import FIGURES, Assessment, Candidate, Judge
+from flexfmu.cosim.design.plans.assessment import FIGURES, JUDGED, Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.drive_table import DriveTable, drive_table
 from flexfmu.cosim.design.plans.goals import Goals, check_holding_torque, checked_goals, judged_scene
 from flexfmu.cosim.design.plans.optimal import flexible, optimal
@@ -34,14 +34,11 @@ from flexfmu.trajectories.errors import TrajectoryError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Method = Callable[[Goals, Sequence[Assessment], int, ShowProgress, WorkJournal], Iterator[Candidate]]
+Method = Callable[[Judge, Sequence[Assessment], int, ShowProgress], Iterator[Candidate | str]]
 
 METHODS: Mapping[str, Method] = {"search": search, "flexible": flexible, "optimal": optimal}
-"""Methods in the order in which they run, what one finds, the next can start from: from the goals, what was assessed before, the number
-of processes, where to show progress and where to keep what is found to ever better candidates."""
-
-SCREENED, JUDGED = 7, 25
-"""Payloads within the band with which every candidate is assessed, and with which the chosen motion is judged."""
+"""Methods in the order in which they run, what one finds, the next can start from: from the judge, what it has assessed before, the
+number of processes and where to show progress to all candidates that are tried, and why there is none from a start."""
 
 FRONT = ("time", "residual", "torque", "energy", "off_path")
 """Figures that the Pareto front weighs against each other."""
@@ -75,7 +72,7 @@ class PlanResult(Rows):
     Attributes:
         goals: what it was planned for.
         given: the scene's own motion.
-        chosen: the best motion that keeps to all limits, judged with `JUDGED` payloads; the given one if none is better.
+        chosen: the best motion that keeps to all limits, or the one that misses them least, see `best`.
         assessed: all candidates, in the order in which they were found.
         failures: message of each candidate or method that failed.
         interrupted: whether the plan ended before its methods did.
@@ -126,9 +123,7 @@ class PlanResult(Rows):
 
     def drive_table(self, rate: float, unit: str = "rad", counts: float | None = None) -> DriveTable:
         """The chosen motion or cycle as a drive reads it; arguments and errors as for `flexfmu.cosim.design.plans.drive_table.drive_table`."""
-        return drive_table(
-            self.chosen.candidate, rate, unit, counts, pauses=[each.pause or 0.0 for each in self.goals.ways]
-        )
+        return drive_table(Judge(self.goals, JUDGED), self.chosen.candidate, rate, unit, counts)
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -274,12 +269,26 @@ def plan_scene(
             raise InputError(
                 "motions of your own are compared with single motions: leave out `plan.cycle`, or the motions"
             )
+        if methods and "optimal" not in methods:
+            raise InputError(
+                f"a cycle is planned by optimal control alone, not by {', '.join(methods)}: choose the method optimal, or leave out `plan.cycle`"
+            )
         # other methods and models are for single motions
         methods, robust = [name for name in methods if name == "optimal"], False
+    if goals.wishes.front and "optimal" not in methods:
+        raise InputError(
+            "`plan.front` is found by optimal control: choose the method optimal too, or leave out the front"
+        )
     show("the given motion", None)
     PreparedScene(scene).check_size(companion=False)
-    judge = Judge(goals, SCREENED, journal)
-    check_holding_torque(goals, {each.variation: each.torque for each in judge.given.peaks})
+    judge, is_new = Judge(goals, JUDGED, journal), not journal.done
+    try:
+        check_holding_torque(goals, {each.variation: each.torque for each in judge.given.peaks})
+    except InputError:
+        # another plan may begin in its folder
+        if is_new:
+            journal.remove()
+        raise
     found, failures = [judge.given], list[str]()
     # what is planned otherwise than the scene says
     start = goals.given.once.joints.evaluate([0.0], 0, "right")[0, 0]
@@ -291,11 +300,11 @@ def plan_scene(
         )
     candidates = [replace(each, scene=judged_scene(each.scene, goals.wishes)) for each in candidates]
 
-    def proposed() -> Iterator[Candidate]:
+    def proposed() -> Iterator[Candidate | str]:
         yield from candidates
         for name in (each for each in METHODS if each in methods):
             try:
-                yield from METHODS[name](goals, found, processes, show, journal)
+                yield from METHODS[name](judge, found, processes, show)
             except FAILURES as error:
                 # a method that fails doesn't end the plan
                 _note_failure(failures, name, error)
@@ -303,21 +312,21 @@ def plan_scene(
     interrupted = False
     try:
         for candidate in proposed():
+            if isinstance(candidate, str):
+                failures.append(candidate)
+                continue
             try:
                 found.append(judge.assess(candidate))
             except FAILURES as error:
                 _note_failure(failures, candidate.label, error)
-            best = _ranked(found, goals)[0]
-            show(f"{best.time:.4g} s, {1e6 * best.residual:.2g} µm: {best.candidate.label}", None)
+            chosen = best(found, goals.wishes.minimise)
+            show(f"{chosen.time:.4g} s, {1e6 * chosen.residual:.2g} µm: {chosen.candidate.label}", None)
             if budget is not None and monotonic() - clock > budget:
                 interrupted = True
                 break
     except KeyboardInterrupt:
         interrupted = True
-    show("the chosen motion, with all payloads", None)
-    final = Judge(goals, JUDGED, journal)
-    chosen = _chosen(found, goals, final)
-    lines = list[RobustnessLine]()
+    chosen, lines = best(found, goals.wishes.minimise), list[RobustnessLine]()
     try:
         for line in robustness(chosen.candidate, goals, journal=journal) if robust and not interrupted else ():
             show(f"the chosen motion in other models: {line.model}", None)
@@ -325,7 +334,7 @@ def plan_scene(
     except KeyboardInterrupt:
         interrupted = True
     work = processor_time() - work
-    return PlanResult(goals, final.given, chosen, tuple(found[1:]), tuple(failures), interrupted, work, tuple(lines))
+    return PlanResult(goals, judge.given, chosen, tuple(found[1:]), tuple(failures), interrupted, work, tuple(lines))
 
 
 def _note_failure(failures: list[str], what: str, error: Exception) -> None:
@@ -343,23 +352,6 @@ def _dominates(one: Assessment, other: Assessment, axes: Sequence[str]) -> bool:
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
 
 
-def _ranked(found: Sequence[Assessment], goals: Goals) -> list[Assessment]:
-    """The best first: those that keep to all limits by what is minimised, then the others by their worst excess."""
-
-    def rank(each: Assessment) -> tuple[float, float]:
-        excess = 0.0 if each.feasible else max(use.share for use in each.uses)
-        return excess, float(getattr(each, goals.wishes.minimise))
-
-    return sorted(found, key=rank)
-
-
-def _chosen(found: Sequence[Assessment], goals: Goals, judge: Judge) -> Assessment:
-    """The best candidate that keeps to all limits with the judge's payloads too; the nearest one if there is none."""
-    judged = list[Assessment]()
-    for each in _ranked(found, goals):
-        if judged and not each.feasible:
-            break
-        judged.append(judge.assess(each.candidate) if each.candidate.method != "given" else judge.given)
-        if judged[-1].feasible:
-            break
-    return _ranked(judged, goals)[0]
+def best(found: Sequence[Assessment], minimise: str) -> Assessment:
+    """Of motions that keep to all limits the one with least of what is minimised; without one the motion whose worst excess is least."""
+    return min(found, key=lambda each: (each.excess, float(getattr(each, minimise))))

@@ -19,11 +19,10 @@ from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.designs import PATHS, Design, FamilyMotion, MotionFamily
 from flexfmu.cosim.design.plans.goals import Goals
-from flexfmu.cosim.design.plans.optimal import PAYLOADS, limited, refined
+from flexfmu.cosim.design.plans.optimal import limited, refined
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.many.executor import mapping
-from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.model.reference_design.elastic_response import RobotVariant
 from flexfmu.model.reference_design.optimal_control import Aim, Stage, State, Way, spread
 from flexfmu.model.scene.errors import EquilibriumError
@@ -81,24 +80,21 @@ Found = tuple[list[float], float, float] | None
 """What a journal has of a family's motion: its numbers, duration and cost."""
 
 
-def search(
-    goals: Goals, found: Sequence[Assessment], processes: int, show: ShowProgress, journal: WorkJournal = NOWHERE
-) -> Iterator[Candidate]:
+def search(judge: Judge, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate | str]:
     """Yield ever better motions, then slower ones with less vibration.
 
     Args:
-        goals: limits, bands and clearance.
+        judge: knows limits, bands and clearance.
         found: the given motion, and what else was assessed.
         processes: number of processes; the motions don't depend on it.
         show: is called with what is being done, and the finished fraction.
-        journal: where motions are kept.
 
     Raises:
         InputError: the scene's motion has no path.
         BuildError, EquilibriumError, TrajectoryError: the robot can't be run, or its given motion.
     """
     show("search: modes and limits", 0.0)
-    study = study_of(goals, found[0])
+    goals, journal, study = judge.goals, judge.journal, study_of(judge.goals, found[0])
     best, asked, fraction = list[FamilyMotion](), 0, 0.0
     random = np.random.default_rng(goals.wishes.seed)
     with mapping(partial(_improved, study), processes) as work:
@@ -124,18 +120,16 @@ def search(
                 going = best[:LAST]
     if not best:
         raise TrajectoryError(f"scene {goals.scene.name}: no motion of the search can be planned")
-    yield from _judged(goals, study, best[0], show, journal)
+    yield from _judged(judge, study, best[0], show)
 
 
-def _judged(
-    goals: Goals, study: MotionStudy, first: FamilyMotion, show: ShowProgress, journal: WorkJournal
-) -> Iterator[Candidate]:
+def _judged(judge: Judge, study: MotionStudy, first: FamilyMotion, show: ShowProgress) -> Iterator[Candidate | str]:
     """A motion improved for more robots until the FMU finds its limits kept, then slower ones with less vibration."""
-    last = first
+    last, goals = first, judge.goals
 
     def attempt(
         key: tuple[str, Any], ways: Sequence[Way], loads: Mapping[str, RealArray], loose: float
-    ) -> list[FamilyMotion] | None:
+    ) -> tuple[list[FamilyMotion], bool] | None:
         nonlocal last
         (way,), (place, number) = ways, key
         start, again = way.start, place == "judged"
@@ -144,23 +138,23 @@ def _judged(
         further = QUIETER**number if again else 1.0
         limits = replace(way.limits, residual=further * way.limits.residual)
         tight = replace(study, way=replace(way, limits=limits), loads=loads)
-        found = journal.kept(("search", *key), Found, lambda: _improved(tight, (start, *FINAL, again)))
+        found = judge.journal.kept(("search", *key), Found, lambda: _improved(tight, (start, *FINAL, again)))
         if found is None:
             return None
         last = replace(first, numbers=np.array(found[0]), duration=found[1])
         show(f"search: {last.duration:.4g} s", None)
-        return [last]
+        return [last], True
 
     def made(motions: Sequence[FamilyMotion]) -> Candidate:
         return candidate_of(goals, motions[0].design)
 
     way = replace(study.way, start=first)
-    yield from refined(Judge(goals, PAYLOADS[0], journal), attempt, made, [way], study.loads, 0.0, ("judged",))
+    yield from refined(judge, attempt, made, [way], study.loads, 0.0, ("judged",))
     for share in QUIET if goals.wishes.duration is None else ():
         start = last.with_duration(SLOWER * last.duration)
         way = replace(way, start=start, limits=study.way.limits.tightened({"residual": 1.0 / share}))
-        if (motions := attempt(("quiet", share), [way], study.loads, 0.0)) is not None:
-            yield made(motions)
+        if (tried := attempt(("quiet", share), [way], study.loads, 0.0)) is not None:
+            yield made(tried[0])
 
 
 def candidate_of(goals: Goals, design: Design) -> Candidate:

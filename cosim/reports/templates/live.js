@@ -112,7 +112,7 @@
   // draw results; recorded curves stay as thin lines
   const cells = [...document.querySelectorAll("[data-metric]")].map((cell) => ({ cell, name: cell.dataset.metric, text: cell.textContent, ...JSON.parse(cell.dataset.shown) }));
   const metricCurves = charts.flatMap((chart) => chart.panels.flatMap(({ curves }) => curves.map((each) => each.source?.metric))).filter(Boolean);
-  const shown = new Set([...cells.map((each) => each.name), ...metricCurves]), verdict = document.querySelector(".verdict"), recordedVerdict = verdict.textContent;
+  const shown = new Set([...cells.filter((each) => each.factor).map((each) => each.name), ...metricCurves]), verdict = document.querySelector(".verdict"), sentences = [...verdict.childNodes];
   const magnification = () => charts.flatMap((chart) => chart.panels).find((each) => each.motion)?.motion.magnification;
   let referenced = "";
   const sliderOf = (key) => sliders.find((each) => each.key === key);
@@ -145,15 +145,42 @@
       });
     }
     referenced = `${chosen} ${one.grid.key}`;
-    verdict.textContent = (isUsual ? "" : "As recorded: ") + recordedVerdict;
-    const metrics = new Map([...results].map(([place, r]) => [place, r.measured ?? r.measure(shown)])), zero = metrics.get(0);
-    for (const { cell, name, text, run, factor, unit, limit, compared } of cells) {
-      const value = metrics.get(run)?.[name], isKnown = value !== undefined, base = zero?.[name];
+    // what failed has no figures, and of a single run its end stands in place of the verdict
+    const ended = !isCompared && one.failure && `${one.isUnstable ? "Unstable" : "Failed"}. The run ended at ${short(one.time[one.size - 1], 4)} s.`;
+    verdict.replaceChildren(...(ended ? [ended] : sentences));
+    const measured = (r) => (r.failure ? Object.fromEntries([...shown].map((name) => [name, null])) : (r.measured ?? r.measure(shown)));
+    const metrics = new Map([...results].map(([place, r]) => [place, measured(r)])), zero = metrics.get(0);
+    const stateOf = (r) => (r.failure ? 2 : r.isUnstable ? 1 : null), isGood = (place) => results.has(place) && stateOf(results.get(place)) === null;
+    // a figure in words; undefined if the page doesn't compute it
+    const worded = ({ name, text, run, factor, unit, limit, digits, compared, phrases, stays, isError, of, names, failed }) => {
+      if (name === "state") { const now = stateOf(results.get(run)); return now === null && stays && text ? undefined : ["", "Unstable. ", "Failed. "][now ?? 0]; }
+      if (name === "failures") { const bad = names.filter((_, place) => (results.has(place) ? !isGood(place) : failed.includes(place))); return bad.length ? `Unstable or failed: ${bad.join(", ")}. ` : ""; }
+      if (name === "least") {
+        const known = names.map((each, place) => [metrics.get(place)?.[of], each]).filter(([value], place) => isGood(place) && value !== null && value !== undefined).sort((a, b) => a[0] - b[0]);
+        return known.length > 1 ? `${known[0][1]} ${phrases}, ${short(known[0][0] * factor, 3)} ${unit}. ` : "";
+      }
+      const value = metrics.get(run)?.[name], base = zero?.[name];
+      if (value === undefined) return undefined;
+      if (isError) return "";
       const difference = compared && value && base ? ` (${value < base ? "" : "+"}${short(100 * (value / base - 1), 3)} %)` : "";
-      cell.classList.toggle("stale", !isUsual && !isKnown);
-      if (isKnown && !isUsual) cell.classList.toggle("over", limit !== null && value > limit);
-      cell.textContent = isUsual || !isKnown ? text : value === null ? "–" : `${short(value * factor, 5)} ${unit}`.trim() + difference;
+      return value === null ? phrases[0] : phrases[value <= (limit ?? 0) ? 1 : 2].replace("{}", `${short(value * factor, digits)} ${unit}`.trim() + difference);
+    };
+    let recorded = false;
+    for (const each of cells) {
+      const { cell, name, text, run, limit } = each, said = isUsual ? text : worded(each);
+      cell.textContent = said ?? text;
+      cell.classList.toggle("stale", said === undefined);
+      if (!isUsual && limit) cell.classList.toggle("over", metrics.get(run)?.[name] > limit);
+      recorded ||= said === undefined && text !== "";
     }
+    get(".recorded").hidden = !recorded;
+    const failures = [...results.values()].filter((r) => r.failure), unstable = [...results.values()].filter((r) => !r.failure && r.isUnstable);
+    alarm(isUsual ? "" : failures.length ? `The simulation fails with these values: ${failures[0].failure}. There are no figures of it; curves end where it failed.` : unstable.length ? "The loop is unstable with these values: the joints run away from their references." : "");
+  };
+  const alarm = (text) => {
+    const box = get(".alarm");
+    box.hidden = !text;
+    if (box.textContent !== text) box.textContent = text;
   };
 
   // the error of a result by a companion, where there is time
@@ -173,10 +200,17 @@
       show(results, isUsual);
       const failed = [...results.values()].find((each) => each.failure);
       status.dataset.time = `simulated in ${short([...results.values()].reduce((sum, each) => sum + each.elapsed, 0), 3)} ms`;
-      status.textContent = failed ? `${status.dataset.time}: ${failed.failure}` : status.dataset.time;
+      status.textContent = status.dataset.time;
       clearTimeout(idle);
       if (!failed && !isCompared) idle = setTimeout(() => companion(active()[0], r), 300);
-    } catch (error) { status.textContent = error.message; }
+    } catch (error) {
+      // nothing was simulated: no figures, and curves of earlier values pale
+      for (const { cell } of cells) cell.textContent = "–";
+      verdict.replaceChildren("Failed.");
+      alarm(`The page can't simulate these values: ${error.message}. The curves are those of earlier values.`);
+      status.textContent = "";
+    }
+    document.body.classList.toggle("outdated", get(".alarm").textContent.includes("earlier values"));
     page.redrawn = performance.now() - began;
     page.updates = (page.updates ?? 0) + 1;
   };

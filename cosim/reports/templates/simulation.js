@@ -360,6 +360,21 @@ class Result {
     grid.rigid = { size, all };
     return all;
   }
+  /** Whether the loop is unstable: the joints' velocities are far off, or their errors grow or stay in the dwell (run_checks.py). */
+  get isUnstable() {
+    const { beyond, beforeFailure, atRest, onTheMove, growth, lasting } = this.simulation.facts.divergence, { time, size, duration } = this;
+    if (!beyond) return false;
+    const pairs = ["joint1.", "joint2."].map((name) => [this.signal(`${name}velocity`), this.signal(`${name}reference.velocity`)]).filter((pair) => pair[0] && pair[1]);
+    const thirds = [0, 0, 0], span = time[size - 1] - duration;
+    let largest = 0;
+    for (let i = 0; i < size; i++) {
+      const error = Math.max(...pairs.map(([one, other]) => Math.abs(one[i] - other[i]))), third = Math.floor((3 * (time[i] - duration)) / span);
+      largest = Math.max(largest, error);
+      if (third >= 0) thirds[Math.min(third, 2)] = Math.max(thirds[Math.min(third, 2)], error);
+    }
+    const [first, middle, last] = thirds;
+    return largest > (this.failure ? beforeFailure : beyond) || (last > atRest && last >= growth * first && last >= middle && middle >= first) || (last > onTheMove && last >= lasting * first);
+  }
   analysed({ n, c, orders, left, right, duration }) {
     const { simulation } = this, { control, highest, quadratures } = simulation.analysis[orders];
     const area = (name, size) => simulation.area(`metrics ${name}`, size), put = (values, name) => simulation.put(values, `metrics ${name}`);

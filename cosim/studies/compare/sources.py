@@ -27,6 +27,7 @@ from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, metric
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun, OverBand
+from flexfmu.cosim.reports.summary import instability
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import parse_setting, split_values
@@ -135,7 +136,8 @@ def _given(argument: str, changes: Mapping[str, Any], load: Callable[[str, Mappi
 def _loaded(source: Source, show: ShowProgress, strict: bool) -> ComparedRun | Scene:
     """The run that a source has, or the scene that is to be run, its effects chosen."""
     if isinstance(source, Run):
-        return _measured(source)
+        measured = _measured(source)
+        return replace(measured, failure=failure_of(source) or _margins(source.scene, None)[1])
     if not isinstance(source, Scene):
         path = Path(source)
         if path.is_dir():
@@ -236,7 +238,8 @@ def _read(file: Path, name: str, strict: bool) -> ComparedRun:
     }
     stop, scene = summary.get("health", {}).get("stop_time"), summary.get("scene", {})
     duration = None if stop is None or "trajectory" not in scene else stop - scene["trajectory"].get("dwell", 0.0)
-    return ComparedRun(name, recording, metrics, duration)
+    failure = instability(summary.get("health", {}))
+    return ComparedRun(name, recording, metrics, duration, failure=failure)
 
 
 def _finite(recording: Recording, file: Path, strict: bool) -> Recording:

@@ -14,9 +14,9 @@ from rich.console import Console
 import flexfmu
 from flexfmu.cosim.cli.design import _shown_plan
 from flexfmu.cosim.design.plans import planner
-from flexfmu.cosim.design.plans.assessment import Assessment, Candidate
-from flexfmu.cosim.design.plans.goals import Goals
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.planner import PlanResult, plan_scene
+from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.model.scene.file import load_scene
 
 SCENE = "barnard2012-6kg"
@@ -24,14 +24,12 @@ FEW = ("--set", "effects.proximal_bending=1", "--set", "effects.distal_axial=1")
 QUICK = (*FEW, "--payload-band", "0", "--method", "search", "--no-robust")
 
 
-def search(
-    goals: Goals, found: Sequence[Assessment], processes: int, show: planner.Show, *_: object
-) -> Iterator[Candidate]:
+def search(judge: Judge, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:
     """A slow motion without vibration, and one that is too fast; then Ctrl-C if the seed is 1."""
     for duration in (0.6, 0.35):
         keys = {"trajectory.duration": duration, "shaper": [{"kind": "zvd", "mode_count": 2}]}
-        yield Candidate(f"shaped {duration:g}", "search", goals.scene.replace(keys))
-        if goals.wishes.seed == 1:
+        yield Candidate(f"shaped {duration:g}", "search", judge.goals.scene.replace(keys))
+        if judge.goals.wishes.seed == 1:
             raise KeyboardInterrupt
 
 
@@ -102,15 +100,37 @@ def test_what_no_motion_reaches_is_a_sentence_and_status_1(tmp_path: Path) -> No
         (("--method", "genetic"), "unknown method genetic"),
         (("--output", "planned.csv"), "a scene file ends in .toml"),
         (("--margin", "-1"), "margin"),
+        (("--limit", "torque=0.1x"), "against gravity"),
+        (("--counts", "1048576"), "--counts belongs to --export"),
+        (("--rate", "4000"), "--rate belongs to --export"),
+        (("--export", "drive.txt"), "a drive's table ends in .csv, got drive.txt"),
+        (("--export", "/dev/null/drive.csv"), "a drive's table can't be written"),
+        (("--output", "/dev/null/planned.toml"), "a scene file can't be written"),
+        (("--pause", "0.1", "--method", "search"), "a cycle is planned by optimal control alone"),
+        (("--front", "time,power", "--method", "search"), "`plan.front` is found by optimal control"),
     ],
 )
 def test_a_wrong_wish_is_one_line(options: tuple[str, ...], message: str, tmp_path: Path) -> None:
-    """Each says what would be right; there is no traceback."""
+    """Each says what would be right, without a traceback; nothing is left that another plan in the same folder would meet."""
     result = command("plan", SCENE, *FEW, *options, "--out", str(tmp_path / "out"))
     text = result.stderr + (str(result.exception) if result.exception else "")
-    assert result.exit_code != 0
-    assert message in text
+    assert result.exit_code == 2
+    assert message in " ".join(text.split())
     assert "Traceback" not in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_a_table_that_swings_more_than_wished_is_a_miss(tmp_path: Path) -> None:
+    """The motion keeps all limits, its coarse counts don't: a sentence with the remedy, and status 1."""
+    wishes = ("--limit", "off_path=0.05", "--margin", "0.002", "--export", str(tmp_path / "drive.csv"))
+    for counts, status in (("4096", 1), ("16777216", 0)):
+        result = command("plan", SCENE, *QUICK, *wishes, "--counts", counts, "--out", str(tmp_path / "out"))
+        text = " ".join(result.stdout.split())
+        assert result.exit_code == status, text
+        assert "All limits are kept" in text
+        assert ("instead of 1 µm of residual vibration" in text) is bool(status)
+        assert ("raise --rate or --counts" in text) is bool(status)
 
 
 @pytest.fixture(scope="module")
@@ -120,12 +140,12 @@ def found() -> PlanResult:
         {"effects.proximal_bending": 1, "effects.distal_axial": 1, "plan.payload_band": 0.0}
     )
     slow = scene.replace({"trajectory.duration": 0.6, "trajectory.dwell": 0.25})
-    label = "lame 93 x 26 mm, modified-trapezoid, zvdd on joints x zvd on joints"
+    label = "lame 93 x 26 mm, polynomial, zvdd on joints x zvd on joints"
     return plan_scene(scene, methods=(), candidates=[Candidate(label, "search", slow)], robust=False)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("columns", [60, 120])
+@pytest.mark.parametrize("columns", [60, 80, 120])
 def test_tables_fit_the_terminal(found: PlanResult, columns: int) -> None:
     """No line is longer than the terminal, and every number is whole."""
     console = Console(file=StringIO(), width=columns)
@@ -136,3 +156,5 @@ def test_tables_fit_the_terminal(found: PlanResult, columns: int) -> None:
     for each in found.front:
         assert f"{each.time:.4g}" in text
         assert f"{1e6 * each.residual:.3g}" in text
+    # a table, not blocks of lines
+    assert ("Time [s]: " in text) is (columns < 80)

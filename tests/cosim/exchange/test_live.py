@@ -9,6 +9,7 @@ import shutil
 import socket
 import subprocess
 import time
+import warnings
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
@@ -402,3 +403,59 @@ def test_a_notebook_s_page_is_accessible(browser: Any, tmp_path: Path) -> None:
     assert [(each["id"], each["nodes"][0]["html"][:200]) for each in found] == []
     assert problems == []
     context.close()
+
+
+def test_what_a_slider_breaks_is_said_first(browser: Any, tmp_path: Path) -> None:
+    """The verdict has the figures of what was simulated; a loop that a gain makes unstable is an alert and the first word, one that
+    fails has no figures; what isn't simulated is marked, and no recorded error stands beside another value."""
+    pd = {"kind": "pd", "proportional": 5e3, "derivative": 60.0, "sample_time": 1e-3}
+    changes = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "effects.proximal_bending": 1}
+    scene = load_scene("barnard2012-6kg").replace({**changes, "controller": [pd]})
+    path = flexfmu.run(scene).live_report(tmp_path / "x.html")
+    page, problems = opened(browser, path)
+    verdict, alarm, errors = (page.locator(each) for each in (".verdict", ".alarm", "td [data-shown*=isError]"))
+    before = verdict.inner_text()
+    assert not alarm.is_visible()
+    assert any(each.strip() for each in errors.all_inner_texts())
+
+    def moved(gain: float) -> Any:
+        page.evaluate(f"page.pick({{'controller.pd.derivative': {gain}}})")
+        page.wait_for_timeout(1500.0)
+        changed = scene.replace({"pd.kd": gain})
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return flexfmu.run(changed)
+
+    run = moved(90.0)
+    value = definition("peak_position_error").displayed(measure_run(run, 0)["peak_position_error"].value or 0.0)
+    assert f"leaves its path by up to {value:.3g} mm" in verdict.inner_text()
+    assert verdict.inner_text() != before
+    assert not alarm.is_visible()
+    assert page.locator(".recorded").is_visible()
+    values = dict.fromkeys(("peak_torque_1", "rms_acceleration_error", "residual_vibration_amplitude"))
+    for name in values:
+        value, error = page.locator(f"td [data-metric={name}]").all()
+        assert "stale" not in (value.get_attribute("class") or "")
+        assert error.inner_text() == ""
+    assert page.locator("td .stale[data-metric=peak_power_1]").count() == 2
+    # further and further
+    gains = [
+        gain
+        for gain in (300.0, 600.0, 1200.0, 2400.0)
+        if (run := moved(gain)).health.unstable_loop or not run.completed
+    ]
+    assert gains
+    for gain in gains:
+        run = moved(gain)
+        assert alarm.is_visible()
+        assert alarm.get_attribute("role") == "alert"
+        assert verdict.inner_text().startswith("Unstable.")
+        if not run.completed:
+            assert set(page.locator(".tile [data-metric]").all_inner_texts()) == {"–"}
+    assert not run.completed
+    page.get_by_role("button", name="as recorded").click()
+    page.wait_for_timeout(300.0)
+    assert verdict.inner_text() == before
+    assert not alarm.is_visible()
+    assert problems == []
+    page.context.close()

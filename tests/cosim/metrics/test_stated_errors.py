@@ -123,12 +123,13 @@ def test_overdamped_links_give_no_false_alarm(tolerance: float, step: float, err
 @pytest.mark.parametrize(
     ("value", "error", "shown", "bound"),
     [
-        (73.60460092, 2.18e-6, "73.60460 N·m", "1e-5"),
-        (2117.3, 300.0, "2000 N·m", "1000"),
-        (1.2345e-6, 1e-8, "1.2e-06 N·m", "1e-7"),
-        (1e-9, 0.5, "0 N·m", "1"),
+        (73.60460092, 2.18e-6, "73.604601 N·m", "3e-6"),
+        (74.676, 7.76, "75 N·m", "9"),
+        (2117.3, 300.0, "2100 N·m", "400"),
+        (1.2345e-6, 1e-8, "1.23e-06 N·m", "2e-8"),
+        (1e-9, 0.5, "0 N·m", "0.6"),
         (0.0, 2e-15, "0 N·m", ""),
-        (9.9999996, 1e-6, "10.00000 N·m", "1e-5"),
+        (9.9999996, 1e-6, "10.000000 N·m", "2e-6"),
         (1.5, None, "1.5 N·m", ""),
         (None, None, "–", ""),
     ],
@@ -141,13 +142,16 @@ def test_unknown_digits_are_not_shown(value: float | None, error: float | None, 
 
 @given(st.floats(-1e9, 1e9), st.floats(-14.0, 6.0), st.one_of(st.none(), st.integers(3, 12)))
 def test_the_printed_number_is_within_its_bound(value: float, power: float, digits: int | None) -> None:
-    """Whatever a value and its error: error and rounding together are within the bound, which is the place of the last digit."""
+    """Whatever a value and its error: error and rounding together are within the bound, which is in the place of the last digit
+    and no wider than it must be."""
     error = 10.0**power
     text, bound = printed(value, error, digits)
     assert abs(float(text) - value) + error <= float(bound or "1e-12") * (1.0 + 1e-9) + 1e-15 * abs(value)
     if bound and float(text) != 0.0:
-        place = round(math.log10(float(bound)))
-        assert Decimal(text).as_tuple().exponent == (place if "e" in text else min(place, 0))
+        exponent = Decimal(text).as_tuple().exponent
+        place = max(math.floor(power + 1e-12), math.floor(math.log10(abs(value))) + 1 - (digits or 10), -15)
+        assert exponent == (place if "e" in text else min(place, 0))
+        assert float(bound) < error + abs(float(text) - value) + 10.0**place * (1.0 + 1e-6)
 
 
 @pytest.mark.parametrize(

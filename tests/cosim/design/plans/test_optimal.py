@@ -64,13 +64,13 @@ def test_a_motion_that_returns_is_an_error(goals: Goals, judge: Judge) -> None:
     returning = replace(goals)
     returning.__dict__["trace"] = np.concatenate([goals.trace, goals.trace[::-1]])
     with pytest.raises(InputError, match="ends where it starts"):
-        next(optimal(returning, [judge.given], 1, _silent))
+        next(optimal(Judge(returning), [judge.given], 1, _silent))
 
 
 @pytest.fixture(scope="module")
 def assessed(goals: Goals, judge: Judge) -> Assessment:
     """The motion of least torque in less time than the given one has."""
-    *_, last = optimal(goals, [judge.given], 1, _silent)
+    *_, last = optimal(judge, [judge.given], 1, _silent)
     assert isinstance(last, Candidate)
     return judge.assess(last)
 
@@ -114,7 +114,7 @@ def test_what_the_fmu_finds_beyond_a_limit_is_taken_off_it(
     monkeypatch.setattr(method.optimal_control, "optimal_motion", optimistic)
     monkeypatch.setattr(method, "PAYLOADS", (3, 1))
     judge = Judge(goals, 3)
-    found = [judge.assess(each) for each in optimal(goals, [judge.given], 1, _silent)]
+    found = [judge.assess(each) for each in optimal(judge, [judge.given], 1, _silent)]
     assert not found[0].feasible
     assert found[-1].feasible
     assert found[0].time < found[-1].time
@@ -338,7 +338,7 @@ def test_finished_units_are_not_made_again(tmp_path: Path, monkeypatch: pytest.M
 
 def test_a_full_disk_ends_a_plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is no candidate's fault; the same call goes on once there is room."""
-    left, usual = [3], os.fsync
+    left, usual = [2], os.fsync
     motions = {"slower": flexfmu.reference_motion(SLOWER[0].scene).joints}
 
     def full(file: int) -> None:

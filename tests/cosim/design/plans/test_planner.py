@@ -19,12 +19,12 @@ from hypothesis import given as drawn
 from hypothesis import strategies as st
 
 import flexfmu
+from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans import planner
-from flexfmu.cosim.design.plans.assessment import Candidate, Judge, file_candidate, own_candidate
-from flexfmu.cosim.design.plans.drive_table import write_drive_table
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, file_candidate, own_candidate
 from flexfmu.cosim.design.plans.goals import Variation, check_holding_torque, goals_of
 from flexfmu.cosim.design.plans.planned_files import write_plan, write_scene
-from flexfmu.cosim.design.plans.planner import FRONT, PlanResult, plan_scene
+from flexfmu.cosim.design.plans.planner import FRONT, PlanResult, best, plan_scene
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.experiment.scene_build import build_scene
@@ -64,7 +64,6 @@ def shaped(duration: float) -> Candidate:
 def _few_payloads() -> Iterator[None]:
     """The methods are the same with any number of payloads."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planner, "SCREENED", 2)
         patch.setattr(planner, "JUDGED", 3)
         yield
 
@@ -145,6 +144,34 @@ def test_a_shaped_motion_is_written_as_keys_of_the_scene(tmp_path: Path) -> None
     scene = load_scene(tmp_path / "planned.toml")
     assert flexfmu.reference_motion(scene).duration == 0.27
     assert flexfmu.run(scene).plan.duration == pytest.approx(found.chosen.time, rel=1e-12)
+
+
+@settings(max_examples=200)
+@drawn(
+    st.lists(
+        st.tuples(st.floats(0.1, 2.0), st.lists(st.floats(0.5, 3.0) | st.just(math.nan), min_size=3, max_size=3)),
+        min_size=1,
+        max_size=6,
+    )
+)
+def test_the_chosen_motion_misses_least_or_is_the_fastest_that_keeps_all(
+    tried: list[tuple[float, list[float]]],
+) -> None:
+    """Whatever was found, in any order: no other one has a smaller worst share of a limit that it misses."""
+    limits = [Limit(name, most, "1") for name, most in (("torque", 2.0), ("power", 50.0), ("residual", 1e-6))]
+    candidate = Candidate("drawn", "search", GOALS.scene)
+    found = [
+        Assessment(candidate, time, (), (0.0,) * 3, tuple(each.used(s * each.limit) for each, s in zip(limits, shares, strict=True)))
+        for time, shares in tried
+    ]  # fmt: skip
+    worst = [max(math.inf if math.isnan(each) else each for each in shares) for _, shares in tried]
+    chosen = found.index(best(found, "time"))
+    kept = [k for k, share in enumerate(worst) if share <= 1.0]
+    if kept:
+        assert chosen in kept
+        assert tried[chosen][0] == min(tried[k][0] for k in kept)
+    else:
+        assert worst[chosen] == min(worst)
 
 
 def test_what_no_motion_reaches_is_said() -> None:
@@ -343,8 +370,9 @@ def test_what_is_said_to_be_kept_is_kept(ratios: list[float], is_relative: bool)
 
 def test_a_table_for_a_drive_is_the_motion_to_an_independent_master(result: PlanResult, tmp_path: Path) -> None:
     """FMPy holds each line of the file for a sample: torques are the feedforward, and no more vibration remains than is stated."""
-    file, rate, counts, candidate = tmp_path / "drive.csv", 4000.0, 2**20, result.chosen.candidate
-    table, sampled = write_drive_table(result.goals, candidate, file, rate, counts=counts)
+    file, rate, counts = tmp_path / "drive.csv", 4000.0, 2**20
+    table = result.drive_table(rate, counts=counts)
+    file.write_text(table.to_csv())
     assert file.read_text().splitlines()[0].split(",")[1:3] == ["joint1.position [count]", "joint2.position [count]"]
     rows = np.loadtxt(file, delimiter=",", skiprows=1)
     length = len(rows)
@@ -369,4 +397,4 @@ def test_a_table_for_a_drive_is_the_motion_to_an_independent_master(result: Plan
     torques, places = (np.column_stack([found[name] for name in pair]) for pair in (outputs[:2], outputs[2:]))
     np.testing.assert_allclose(torques[1:length], table.torque[:-1], atol=2e-2 * abs(table.torque).max())
     vibration = float(np.hypot(*(places[length + 1 :] - places[-1]).T).max())
-    assert vibration < sampled.residual + 2e-7
+    assert vibration < table.use.value + 2e-7

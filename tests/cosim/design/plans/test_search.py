@@ -132,7 +132,6 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "LAST", 1)
     monkeypatch.setattr(module, "ROUNDS", ((2, 1, 3), (3, 1, 4)))
     monkeypatch.setattr(module, "FINAL", (3, 2, 8))
-    monkeypatch.setattr(module, "PAYLOADS", (3,))
 
 
 @pytest.mark.slow
@@ -140,7 +139,7 @@ def test_motions_are_within_limits_for_any_number_of_processes(
     goals: Goals, given: Assessment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small(monkeypatch)
-    motions, others = (list(search(goals, [given], processes, silent)) for processes in (1, 2))
+    motions, others = (list(search(Judge(goals, 3), [given], processes, silent)) for processes in (1, 2))
     assert [each.label for each in motions] == [each.label for each in others]
     assert [each.scene for each in motions] == [each.scene for each in others]
     judged = [Judge(goals, 3).assess(each) for each in motions]
@@ -151,7 +150,7 @@ def test_motions_are_within_limits_for_any_number_of_processes(
 
 def test_a_search_that_is_left_ends(goals: Goals, given: Assessment, monkeypatch: pytest.MonkeyPatch) -> None:
     small(monkeypatch)
-    motions = search(goals, [given], 2, silent)
+    motions = search(Judge(goals, 3), [given], 2, silent)
     assert next(motions).method == "search"
     motions.close()  # type: ignore[attr-defined]
     assert list(motions) == []
@@ -186,9 +185,10 @@ def test_paths_go_around_walls(goals: Goals, given: Assessment) -> None:
 
 
 def test_a_search_needs_a_path() -> None:
-    tabulated: Any = SimpleNamespace(scene=SimpleNamespace(name="log", trajectory=None), wishes=None)
+    tabulated = SimpleNamespace(scene=SimpleNamespace(name="log", trajectory=None), wishes=None)
+    judge: Any = SimpleNamespace(goals=tabulated, journal=None)
     with pytest.raises(InputError, match="scene log has a motion from a table, and no path whose corners could change"):
-        next(search(tabulated, (given,), 1, silent))
+        next(search(judge, (given,), 1, silent))
 
 
 def _busy(seconds: float) -> float:

@@ -1,0 +1,98 @@
+"""What pages say first: an unstable loop before all else, and the figures of what was simulated."""
+
+from __future__ import annotations
+
+import html
+import re
+import warnings
+
+import control
+import numpy as np
+import pytest
+
+import flexfmu
+from flexfmu.cosim.design.margins.loop_warnings import loop_sentences
+from flexfmu.cosim.metrics.metrics import measure_run
+from flexfmu.cosim.reports.report import report_page
+from flexfmu.cosim.reports.summary import instability, summarise
+from flexfmu.model.scene.schema import Scene
+
+SAMPLE = 1e-3
+"""Sample time of the loops [s]."""
+
+SCENE = flexfmu.load_scene("barnard2012-6kg").replace(
+    {
+        "effects.proximal_bending": 1,
+        "effects.distal_axial": 0,
+        "effects.motor_inertia": 0.1,
+        "trajectory.dwell": 0.1,
+        "cosimulation.step": 1e-3,
+        "cosimulation.tolerance": 1e-4,
+        "cosimulation.drive": "torque",
+    }
+)
+
+
+def loop(name: str, stiffness: float, damping: float) -> Scene:
+    """The scene under a PD law."""
+    pd = {"kind": "pd", "proportional": stiffness, "derivative": damping, "sample_time": SAMPLE}
+    return SCENE.replace({"name": name, "controller": [pd]})
+
+
+def growth(stiffness: float, damping: float) -> float:
+    """Largest eigenvalue of the sampled loop about rest at both ends of the path, by python-control."""
+    law = np.array([[stiffness, 0.0, damping, 0.0], [0.0, stiffness, 0.0, damping]])
+    names = [f"joint{joint}.{what}" for what in ("position", "velocity") for joint in (1, 2)]
+    found = []
+    for place in ((-0.175, 0.32), (0.175, 0.32)):
+        robot = flexfmu.linearize(SCENE, place, names)
+        sampled = control.sample_system(control.ss(robot.A, robot.B[:, :2], robot.C, robot.D[:, :2]), SAMPLE)
+        found.append(np.abs(np.linalg.eigvals(sampled.A - sampled.B @ law @ sampled.C)).max())
+    return float(max(found))
+
+
+def verdict_of(page: str) -> str:
+    """The first sentence of a page."""
+    found = re.search(r'<p class="verdict">(.*?)</p>', page, re.DOTALL)
+    assert found is not None
+    return html.unescape(re.sub(r"<[^>]*>", "", found[1]))
+
+
+@pytest.mark.slow
+def test_unstable_is_the_first_word_and_never_ranks() -> None:
+    """For drawn gains, where python-control has an eigenvalue outside the unit circle: in reports and in comparisons, of scenes and of runs."""
+    rng = np.random.default_rng(4)
+    drawn = np.exp(rng.uniform(np.log([2e3, 60.0]), np.log([2e4, 600.0]), (12, 2)))
+    sizes = [growth(*each) for each in drawn]
+    chosen = [k for k, size in enumerate(sizes) if abs(size - 1.0) > 1e-3][:8]
+    unstable = {f"loop{k}" for k in chosen if sizes[k] > 1.0}
+    assert 2 <= len(unstable) <= len(chosen) - 2
+    scenes, finished = [loop(f"loop{k}", *drawn[k]) for k in chosen], []
+    for scene in scenes:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            run = flexfmu.run(scene)
+        summary = summarise(run, measure_run(run, 0))
+        summary["health"] |= loop_sentences(run)
+        assert bool(instability(summary["health"])) == (scene.name in unstable)
+        page = report_page(summary, ()).html
+        assert verdict_of(page).startswith("Unstable. ") == (scene.name in unstable)
+        assert ('role="alert"' in page) == (scene.name in unstable)
+        finished += [run] if run.completed else []
+    for sources in (scenes, finished):
+        there = [each.name if isinstance(each, Scene) else each.scene.name for each in sources]
+        compared = flexfmu.compare(*sources)
+        first, *ranks = verdict_of(compared.page()).split(". ")
+        assert first == f"Unstable or failed: {', '.join(name for name in there if name in unstable)}"
+        good = [run for run in compared.runs if run.name not in unstable]
+        for name, sentence in zip(("residual_vibration_amplitude", "peak_torque_1"), ranks, strict=False):
+            assert sentence.split()[0] == min(good, key=lambda run: run.metrics[name].value or 0.0).name
+
+
+def test_results_of_an_unstable_run_stay_unstable() -> None:
+    """By the run, by the loop at rest where the run shows nothing yet, and of a run that ended."""
+    assert instability({"outcome": "completed", "unstable_loop": "joint1 grows", "stability": None}) == "joint1 grows"
+    about_rest = {"outcome": "completed", "unstable_loop": None, "stability": "the loop is unstable about the end"}
+    assert instability(about_rest | {"stable": False}) == "the loop is unstable about the end"
+    assert instability(about_rest | {"stability": "the loop is close to instability", "stable": True}) == ""
+    assert instability({"outcome": "loop unstable", "message": "joint2 grows"}) == "joint2 grows"
