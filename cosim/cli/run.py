@@ -78,6 +78,7 @@ def run(
     recorded = bool(record) or record_step is not None or record_order is not None
     wrong = {
         "--report and --live go with a scene; an SSP file has no report": is_ssp and (report or live),
+        "--live is about report.html: leave out --no-report": live and report is False,
         "--record, --record-step and --record-order go with a scene": is_ssp and recorded,
         f"--set {(settings or [''])[0]} goes with a scene; parameters of an SSP file are in the file": is_ssp
         and settings,

@@ -172,7 +172,7 @@ def _plain(panel: Panel, x_label: str) -> str:
     (left, right), (low, high) = (_limits([each[axis] for each in points]) for axis in (0, 1))
     lines = "".join(
         f'<polyline points="{" ".join(_points((x - left) / (right - left) * 300, (high - y) / (high - low) * 120))}" '
-        f'style="stroke:{curve.colour}"/>'
+        f'style="stroke:{curve.colour};opacity:{curve.opacity:g}"/>'
         for curve, (x, y) in zip(curves, points, strict=True)
     )
     shape = "" if panel.is_to_scale else ' preserveAspectRatio="none"'

@@ -14,7 +14,8 @@ from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition, display
 from flexfmu.cosim.reports.chart import MOST_POINTS, PALETTE, Curve, Panel, thinned
-from flexfmu.cosim.reports.page import Figure, Page, Plot, Table
+from flexfmu.cosim.reports.page import FIRST_METRICS, TILES, Figure, Page, Plot, Table
+from flexfmu.cosim.reports.report import of_scene
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 
 SIGNALS: Mapping[str, tuple[str, float, Mapping[str, str]]] = {
@@ -36,19 +37,12 @@ SPECTRA = {"end_effector.position.x": "x", "end_effector.position.y": "y"}
 POINTS, FEWEST = 4000, 40
 """Number of points that the curves of one signal have together, and of one curve at least: they limit the size of the page."""
 
+BEYOND = 1.5
+"""Distance from their middle up to which a run that failed is drawn, relative to the range of the others."""
+
 DASHED = "5,3"
 """Of curves that repeat a colour."""
 
-
-FIRST_METRICS = (
-    "peak_torque_1",
-    "peak_tip_deflection_1",
-    "peak_position_error",
-    "rms_acceleration_error",
-    "residual_vibration_amplitude",
-    "settling_time",
-)
-"""Metrics shown at the top of reports."""
 
 RANKS = {"residual_vibration_amplitude": "rings least", "peak_torque_1": "has the smallest peak torque"}
 """Metric → what the run with the smallest value does."""
@@ -120,19 +114,18 @@ def comparison_page(runs: Sequence[ComparedRun], tables: Sequence[Table], plots:
     """
     verdict = [*_ranks(runs), f"{len(runs)} runs, each in its colour; differences are relative to {runs[0].name}."]
     title = " · ".join(run.name for run in runs)
-    return Page(title, verdict, [*plots, *signal_plots(runs)], tables, first_tiles(runs))
+    shown = next((run.run for run in runs if run.run is not None), None)
+    frame = {} if shown is None else of_scene(shown.scene, shown)
+    return Page(title, verdict, [*plots, *signal_plots(runs)], tables, first_tiles(runs), **frame)
 
 
 def first_tiles(runs: Sequence[ComparedRun]) -> list[tuple[str, Sequence[str]]]:
     """Return what each of the main figures is, and its values of the first runs."""
     tiles = list[tuple[str, Sequence[str]]]()
-    for name in FIRST_METRICS:
-        shown = [
-            Figure.of(name, each.value, run=number, digits=4, error=each.error)
-            for number, run in enumerate(runs[:TILE_RUNS])
-            if (each := run.metrics.get(name)) is not None and each.value is not None
-        ]
-        if len(shown) == min(len(runs), TILE_RUNS):
+    for name in dict.fromkeys([*FIRST_METRICS, *ALL_METRICS]):
+        found = [run.metrics.get(name, Metric(None)) for run in runs[:TILE_RUNS]]
+        if any(each.value is not None for each in found) and len(tiles) < TILES:
+            shown = [Figure.of(name, each.value, run=i, digits=4, error=each.error) for i, each in enumerate(found)]
             tiles.append((definition(name).label, shown))
     return tiles
 
@@ -189,7 +182,7 @@ def loop_tables(runs: Sequence[ComparedRun]) -> Iterator[Table]:
         note = "The largest value with both payloads; controllers, shapers and motion are those for the scene's."
         yield Table("Worst with other payloads", ["Metric", "Name", *bands], rows, note)
     if rows := [[run.name, run.failure] for run in runs if run.failure]:
-        yield Table("Unstable or failed", ["Run", "Why"], rows)
+        yield Table("Unstable or failed", ["Run", "Why"], rows, texts=1)
 
 
 def metrics_table(runs: Sequence[ComparedRun]) -> Table:
@@ -217,7 +210,10 @@ def _cell(name: str, measured: Metric, first: Metric, run: int) -> str:
 def signal_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
     """Yield a plot for each group of signals that a run has, then the spectra."""
     for number, (title, (unit, factor, names)) in enumerate(SIGNALS.items()):
-        found = {label: _curves(runs, name, factor) for name, label in names.items()}
+        found = {
+            label: _curves(runs, {"of": name, "factor": factor}, [_values(run.recording, name) for run in runs])
+            for name, label in names.items()
+        }
         panels = [
             Panel(label=f"{label}\n[{unit}]", curves=curves, marks=_marks(runs) if i == 0 else ())
             for i, (label, curves) in enumerate((label, curves) for label, curves in found.items() if curves)
@@ -230,11 +226,7 @@ def signal_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
                 tuple(panels),
                 height=90.0 + 100.0 * len(panels),
             )
-    deviations = [
-        _signal_curve(number, run, 1e3 * deviation, runs, {"of": "deviation", "factor": 1e3})
-        for number, run in enumerate(runs)
-        if (deviation := _deviation(run.recording)) is not None
-    ]
+    deviations = _curves(runs, {"of": "deviation", "factor": 1e3}, [_deviation(run.recording) for run in runs])
     if deviations:
         caption = "Distance of the end effector from the rigid robot's at the same time."
         panel = Panel(label="error [mm]", curves=deviations, from_zero=True, marks=_marks(runs))
@@ -247,21 +239,27 @@ def signal_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
         yield Plot("compared-spectra", title, caption, tuple(panels), "frequency [Hz]", 90.0 + 100.0 * len(panels))
 
 
-def _curves(runs: Sequence[ComparedRun], name: str, factor: float) -> list[Curve]:
-    """Return a signal of all runs that have it."""
-    return [
-        _signal_curve(number, run, factor * run.recording[name].values, runs, {"of": name, "factor": factor})
-        for number, run in enumerate(runs)
-        if name in run.recording.columns
+def _curves(runs: Sequence[ComparedRun], source: Mapping[str, Any], signals: Sequence[RealArray | None]) -> list[Curve]:
+    """Return a signal of all runs that have it, as many points as each curve may have; one that failed as far as it is near the others."""
+    factor, curves = source["factor"], list[Curve]()
+    known = [
+        each for each, run in zip(signals, runs, strict=True) if each is not None and each.size and not run.failure
     ]
+    low, high = (
+        (float(pick([pick(each) for each in known])) for pick in (np.nanmin, np.nanmax)) if known else (-np.inf, np.inf)
+    )
+    for number, (run, values) in enumerate(zip(runs, signals, strict=True)):
+        if values is None:
+            continue
+        if run.failure and known:
+            values = np.where(abs(values - 0.5 * (low + high)) <= BEYOND * (high - low), values, np.nan)
+        chosen = thinned(values, min(max(POINTS // len(runs), FEWEST), MOST_POINTS))
+        curves.append(_curve(number, run, run.recording.time[chosen], factor * values[chosen], source))
+    return curves
 
 
-def _signal_curve(
-    number: int, run: ComparedRun, values: RealArray, runs: Sequence[ComparedRun], source: Mapping[str, Any]
-) -> Curve:
-    """Return values of a run over time, as many points as its curve may have."""
-    chosen = thinned(values, min(max(POINTS // len(runs), FEWEST), MOST_POINTS))
-    return _curve(number, run, run.recording.time[chosen], values[chosen], source)
+def _values(recording: Recording, name: str) -> RealArray | None:
+    return recording[name].values if name in recording.columns else None
 
 
 def _deviation(recording: Recording) -> RealArray | None:

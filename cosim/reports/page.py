@@ -21,6 +21,19 @@ WIDTH, HEIGHT = 374.4, 194.4
 """Usual size of plots [pt]."""
 
 
+FIRST_METRICS = (
+    "peak_torque_1",
+    "peak_tip_deflection_1",
+    "peak_position_error",
+    "rms_acceleration_error",
+    "residual_vibration_amplitude",
+    "settling_time",
+)
+"""Metrics shown at the top of pages."""
+
+TILES = 6
+"""Largest number of figures there."""
+
 PLAIN = "–", "{}", "{}"
 """How a figure is said without a value, within its limit, and otherwise."""
 

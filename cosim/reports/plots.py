@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.scene_run import Run
@@ -45,13 +45,17 @@ from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_
 from flexfmu.cosim.reports.work_precision import tried_settings
 from flexfmu.model.beams import Shape, scene_shapes, tip_force_bending
 from flexfmu.model.scene.assembly import bases, elbows
+from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.curves import Point
 
 FRAMES, DURATION = 401, 6.0
 """Largest number of instants of the animation, and how long it lasts [s]."""
 
-FEW_FRAMES = 41
-"""The same in a page that simulates, which has more from its own run."""
+STUDY_FRAMES, FEW_FRAMES = 121, 41
+"""The same in a page about several runs, and in one that simulates, which has more from its own run."""
+
+REFERENCES = ("joint1.reference.position", "joint2.reference.position")
+"""Planned angles of the joints."""
 
 LONGEST = 1.2
 """Time before the end of a run that is shown [s]: of several cycles the last, in enough instants for its vibration."""
@@ -119,20 +123,29 @@ class BentRobot:
         }
 
 
-def bent_robot(run: Run, most: int = FRAMES) -> BentRobot:
-    """Return the robot of a run in its last `LONGEST` seconds, at recorded instants that are about equally spaced.
+def rigid_motion(plan: MotionPlan) -> Recording:
+    """What bends no link: the planned motion as a recording."""
+    time = np.linspace(0.0, plan.duration, STUDY_FRAMES)
+    values = dict(zip(POSITION, plan.task.evaluate(time, 0)[0].T, strict=True))
+    values |= dict(zip(REFERENCES, plan.joints.evaluate(time, 0)[0].T, strict=True))
+    return Recording(time, {name: Column("", each) for name, each in values.items()})
+
+
+def bent_robot(plan: MotionPlan, recording: Recording, scene: Scene, most: int = FRAMES) -> BentRobot:
+    """Return the robot in the last `LONGEST` seconds of a recording, at instants that are about equally spaced.
 
     Args:
-        run: a run with at least two instants.
+        plan: the rigid robot's motion.
+        recording: with at least two instants.
+        scene: with the robot's own parameters.
         most: largest number of instants.
     """
-    recording, scene = run.recording, run.robot
     grid = np.linspace(recording.time[_shown(recording)][0], recording.time[-1], most)
     index = np.minimum(recording.time.searchsorted(grid), recording.time.size - 1)
     index = index[np.diff(index, prepend=-1) > 0]
     time, shapes = recording.time[index], scene_shapes(scene)
     end = np.stack([recording[name].values[index] for name in POSITION], axis=1)
-    rigid_end = run.plan.task.evaluate(np.minimum(time, run.plan.duration), 0)[0]
+    rigid_end = plan.task.evaluate(np.minimum(time, plan.duration), 0)[0]
     rigid_elbows = np.array([elbows(scene.mechanism, (x, y)) for x, y in rigid_end.tolist()])
     # leg by leg: base to elbow, and what lies between elbow and end effector
     rigid, bent, links, count = list[RealArray](), list[RealArray](), list[list[int]](), 0
@@ -220,7 +233,7 @@ POSE = "pose"
 """Class of what is hidden while the mechanism moves."""
 
 
-def scene_panel(plan: MotionPlan, robot: BentRobot | None = None) -> Panel:
+def scene_panel(plan: MotionPlan, robot: BentRobot) -> Panel:
     """Return the path and the mechanism, to scale [m], with room for all of the robot's motion.
 
     The poses are hidden where the page's script animates the robot.
@@ -228,10 +241,8 @@ def scene_panel(plan: MotionPlan, robot: BentRobot | None = None) -> Panel:
     plan = plan.once
     path = plan.task.evaluate(np.linspace(0.0, plan.duration, PATH_POINTS), 0)[0]
     path_curve = Curve(path[:, 0], path[:, 1], colour=SECOND, width=1.8, opacity=0.6, is_read=False)
-    curves, markers = [path_curve], list[Marker]()
-    if robot is not None:
-        curves.append(Curve(robot.extent[:, 0], robot.extent[:, 1], width=0.0, is_read=False))
-    markers += [Marker(*_point(path[i]), text=text, offset=(6.0, -6.0)) for i, text in ((0, "start"), (-1, "end"))]
+    curves = [path_curve, Curve(robot.extent[:, 0], robot.extent[:, 1], width=0.0, is_read=False)]
+    markers = [Marker(*_point(path[i]), text=text, offset=(6.0, -6.0)) for i, text in ((0, "start"), (-1, "end"))]
     # links as lines, elbows and end effector as discs
     for fraction, opacity in POSES:
         end = _point(plan.task.evaluate(np.array([fraction * plan.duration]), 0)[0, 0])
@@ -244,12 +255,7 @@ def scene_panel(plan: MotionPlan, robot: BentRobot | None = None) -> Panel:
         below = Marker(*base, text=f"motor {leg}", offset=(0.0, 14.0), anchor="middle")
         markers += [Marker(*base, size=10.0, colour=GREY, shape="square"), below]
     return Panel(
-        label="y [m]",
-        curves=curves,
-        markers=markers,
-        is_to_scale=True,
-        is_function=False,
-        motion=None if robot is None else robot.data(),
+        label="y [m]", curves=curves, markers=markers, is_to_scale=True, is_function=False, motion=robot.data()
     )
 
 
@@ -289,13 +295,12 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None, frames: int = FRAMES
     if run.accuracy is not None:
         yield from tried_settings(run.accuracy, run.plan.stop_time)
     # a run that ended at its start has no curves
-    columns, caption = run.recording.columns, "The rigid mechanism at start, middle and end of the path."
+    columns = run.recording.columns
     if np.count_nonzero(np.diff(run.recording.time) > 0.0) == 0:
-        yield _to_scale("scene", "Scene", caption, scene_panel(run.plan))
+        yield scene_plot(run.plan)
         return
-    robot = bent_robot(run, frames)
-    caption += " With scripts it moves, its deviation from the rigid robot magnified."
-    yield _to_scale("scene", "Scene", caption, scene_panel(run.plan, robot))
+    robot = bent_robot(run.plan, run.recording, run.robot, frames)
+    yield scene_plot(run.plan, robot)
     last = f" in the last {LONGEST:g} s" if np.ptp(run.recording.time) > LONGEST else ""
     caption = f"Path of the end effector{last}; its deviation from the rigid robot × {robot.magnification:g}."
     yield _to_scale("path", "Path", caption, path_panel(run, robot.magnification))
@@ -348,6 +353,14 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None, frames: int = FRAMES
         caption += " Dashed: natural frequencies, motors locked." if panel.marks else ""
         if panel.curves:
             yield Plot("spectrum", "Spectrum of the residual vibration", caption, (panel,), "frequency [Hz]")
+
+
+def scene_plot(plan: MotionPlan, robot: BentRobot | None = None) -> Plot:
+    """The mechanism at start, middle and end of its path, and in motion: as it was recorded, or rigid."""
+    caption = "The rigid mechanism at start, middle and end of the path. With scripts it moves"
+    caption += "." if robot is None else ", its deviation from the rigid robot magnified."
+    robot = robot or bent_robot(plan, rigid_motion(plan), plan.scene)
+    return _to_scale("scene", "Scene", caption, scene_panel(plan, robot))
 
 
 def _to_scale(key: str, title: str, caption: str, panel: Panel) -> Plot:

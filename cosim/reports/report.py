@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, display_error
-from flexfmu.cosim.reports.comparison import FIRST_METRICS
-from flexfmu.cosim.reports.page import RECORDED, Figure, Live, Page, Plot, Table, with_few_points
-from flexfmu.cosim.reports.summary import instability, motor_rows, stress_rows, title_of
+from flexfmu.cosim.reports.page import FIRST_METRICS, RECORDED, Figure, Live, Page, Plot, Table, with_few_points
+from flexfmu.cosim.reports.plots import STUDY_FRAMES, bent_robot, scene_plot
+from flexfmu.cosim.reports.summary import describe_effects, instability, motor_rows, stress_rows, title_of
 from flexfmu.cosim.reports.work_precision import ACCURACY
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.path import BLENDS
 from flexfmu.trajectories.profiles import PROFILES
 
@@ -45,6 +50,37 @@ def report_page(summary: Mapping[str, Any], plots: Iterable[Plot], live: Live = 
         live=live,
     )
     return with_few_points(page) if live.packed else page
+
+
+def of_scene(scene: Scene, run: Run | None = None) -> dict[str, Any]:
+    """What all pages about a scene have: the robot in motion, as in a run or rigid, and effects, scene file and slaves folded away."""
+    try:
+        planned = plan(scene) if run is None else run.plan
+    except TrajectoryError:  # of a sweep whose cases alone are feasible
+        return {}
+    robot = None if run is None else bent_robot(planned, run.recording, run.robot, STUDY_FRAMES)
+    data = scene.model_dump(mode="json", exclude_none=True)
+    tables = {"Effects": describe_effects(scene), "Scene file": _scene_rows(data)}
+    if run is not None:
+        tables |= _slave_rows(
+            [asdict(each) for each in run.slaves], [(each.connection, str(each)) for each in run.delays]
+        )
+    return {"first": [scene_plot(planned, robot)], "folded": [*_folded(tables)]}
+
+
+def _folded(tables: Mapping[str, Mapping[str, str]]) -> Iterator[Table]:
+    """Yield tables of names and texts, without empty ones."""
+    for title, rows in tables.items():
+        if rows:
+            yield Table(title, (), [[name, text] for name, text in rows.items()], texts=1, is_open=title in OPEN)
+
+
+def _slave_rows(slaves: Iterable[Mapping[str, Any]], delays: Iterable[tuple[str, str]]) -> dict[str, dict[str, str]]:
+    """Slaves with the instants at which they sample, and signals with their delays."""
+    return {
+        "Slaves": {slave["name"]: slave["description"] + _sampling(slave) for slave in slaves},
+        "Signals": {connection: text.removeprefix(f"{connection}: ") for connection, text in delays},
+    }
 
 
 def _notices(summary: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
@@ -164,19 +200,13 @@ def _tables(summary: Mapping[str, Any]) -> Iterable[Table]:
             "input polynomials": f"degree {health['input_order']}",
             **{name: f"{count:,}" for name, count in health["statistics"].items()},
         },
-        "Slaves": {slave["name"]: slave["description"] + _sampling(slave) for slave in summary["slaves"]},
-        "Signals": {
-            delay["connection"]: delay["description"].removeprefix(f"{delay['connection']}: ")
-            for delay in summary["delays"]
-        },
+        **_slave_rows(summary["slaves"], [(each["connection"], each["description"]) for each in summary["delays"]]),
         "Timing": {name: f"{seconds:.3f} s" for name, seconds in summary["timing"].items()},
         "Results": {name: f"SHA-256 {digest[:16]}…" for name, digest in summary.get("results", {}).items()},
         "Versions": {name: value or "–" for name, value in summary["versions"].items()},
         "Messages of the FMU": {str(number): text for number, text in enumerate(health["messages"], start=1)},
     }
-    for title, rows in tables.items():
-        if rows:
-            yield Table(title, (), [[name, text] for name, text in rows.items()], texts=1, is_open=title in OPEN)
+    yield from _folded(tables)
 
 
 def _motion_sentence(scene: Mapping[str, Any], source: str | None) -> str:

@@ -32,7 +32,8 @@ from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS, definition, metric
 from flexfmu.cosim.reports.chart import INK, PALETTE, Curve, Panel
-from flexfmu.cosim.reports.page import Page, Plot, Table
+from flexfmu.cosim.reports.page import TILES, Page, Plot, Table
+from flexfmu.cosim.reports.report import of_scene
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import full_key, location, value_at
@@ -194,9 +195,12 @@ class TuneResult(Rows):
         end = ", interrupted" if self.interrupted else ""
         verdict += f"; {'all limits are kept' if self.is_feasible else 'no trial keeps all limits'} ({len(self.trials)} trials{end})."
         tiles = [
-            (f"{row[0]}, limit {row[4]}" if k else row[0], [row[2], row[3]]) for k, row in enumerate(figures.rows[:6])
+            (f"{row[0]}, limit {row[4]}" if k else row[0], [row[2], row[3]])
+            for k, row in enumerate(figures.rows[:TILES])
         ]
-        return Page(f"{self.study.scene.name}, tuned", verdict, [plot], [keys, figures], tiles).html
+        tiles += [(row[0], [f"{row[1]} → {row[2]}"]) for row in keys.rows][: TILES - len(tiles)]
+        frame = of_scene(self.scene)
+        return Page(f"{self.study.scene.name}, tuned", verdict, [plot], [keys, figures], tiles, **frame).html
 
     def __repr__(self) -> str:
         """Return at most five lines."""

@@ -31,6 +31,7 @@ from flexfmu.cosim.metrics.metric_table import LOOP_FIGURES
 from flexfmu.cosim.reports.chart import DASHES, FIRST, GREY, SECOND, Curve, Marker, Panel
 from flexfmu.cosim.reports.page import Page, Plot
 from flexfmu.cosim.reports.page import Table as PageTable
+from flexfmu.cosim.reports.report import of_scene
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.fmu_build.own_models import linear_about
 from flexfmu.model.one_thread import one_blas_thread
@@ -169,7 +170,8 @@ class MarginsResult(Rows):
             "peak of the sensitivity",
         )
         tiles = [(name, [text]) for name, text in zip(names, _texts(self.worst), strict=False)]
-        return Page(f"Margins of {self.scene.name}", self.verdict, plots, [table], tiles).html
+        frame = of_scene(self.scene) if isinstance(self.scene, Scene) else {}
+        return Page(f"Margins of {self.scene.name}", self.verdict, plots, [table], tiles, **frame).html
 
     def row_units(self) -> Mapping[str, str]:
         """Margin → unit."""

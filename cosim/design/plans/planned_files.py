@@ -26,6 +26,7 @@ from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, Curve, Marker, Panel
 from flexfmu.cosim.reports.comparison import ComparedRun, first_tiles, metrics_table, signal_plots
 from flexfmu.cosim.reports.page import WIDTH, Page, Plot, Table
+from flexfmu.cosim.reports.report import of_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import Coordinates
@@ -214,7 +215,8 @@ def plan_page(result: PlanResult) -> str:
     lead += " Stopped before the end: this is the best motion so far." if result.interrupted else ""
     title = f"{result.goals.scene.name}: planned motion"
     tables.append(metrics_table(compared))
-    return Page(title, lead, [*plots, *signal_plots(compared)], tables, first_tiles(compared)).html
+    frame = of_scene(runs[-1].scene, runs[-1])
+    return Page(title, lead, [*plots, *signal_plots(compared)], tables, first_tiles(compared), **frame).html
 
 
 def summary_table(result: PlanResult) -> Table:

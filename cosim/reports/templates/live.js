@@ -1,6 +1,7 @@
 // Sliders that simulate: what they change is computed by the modules in the page (simulation.js), and drawn in the page's charts.
 (async () => {
   const { html, short, charts } = page, panel = document.getElementById("live"), status = panel.querySelector(".status"), get = (name) => panel.querySelector(name);
+  panel.hidden = false;
   await new Promise((done) => (charts.length ? done() : addEventListener("charts", done, { once: true })));
   const { simulations, swept } = await Simulation.load(document.getElementById("module").textContent);
   // runs side by side, or alternatives of one run, of which one is shown

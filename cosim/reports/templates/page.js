@@ -64,8 +64,14 @@ const page = (() => {
       });
       const label = this.label.replace("\n", " "), x = axisOf(this.isLast ? chart.x : "", this.isLast ? 34 : 12), y = axisOf(label, 58);
       if (!this.isLast) x.values = (_, splits) => splits.map(() => "");
-      y.values = (_, splits) => splits.map((v) => (v === null ? "" : short(v, 5)));
-      if (this.isLast) x.values = y.values;
+      // on logarithmic axes 1, 2 and 5 of few decades, of many those that there is room for
+      const ticks = (axis, room) => (_, splits) => {
+        const [low, high] = this.shown[axis].map(Math.log10), every = Math.ceil((high - low) / room), power = (v) => Math.log10(v) + 1e-9;
+        const isShown = (v) => !this.log[axis] || (power(v) % 1 < 1e-6 ? Math.round(power(v)) % every === 0 : every === 1 && high - low < 3 && [2, 5].includes(+(v / 10 ** Math.floor(power(v))).toFixed(6)));
+        return splits.map((v) => (v === null || !isShown(v) ? "" : short(v, 5)));
+      };
+      y.values = ticks("y", (toScale ? 200 : this.height) / 20);
+      if (this.isLast) x.values = ticks("x", (width - 86) / 50);
       this.whole = { x: chart.limits, y: this.limits("y") };
       const height = toScale ? this.scaled(width) : this.height;
       const scale = (axis) => ({ time: false, auto: false, distr: this.log[axis] ? 3 : 1, range: () => this.shown[axis] });

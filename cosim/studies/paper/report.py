@@ -19,11 +19,13 @@ from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.reports.figure_style import save
 from flexfmu.cosim.reports.page import Page, Table, render
+from flexfmu.cosim.reports.report import of_scene
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.cosim.studies.paper.figures import SIMULATED_FIGURES, TRAJECTORY_FIGURES, PaperFigure
 from flexfmu.cosim.studies.paper.tables import (
     TABLES,
+    TRAJECTORY_SCENE,
     Cell,
     PaperCase,
     PaperTable,
@@ -39,6 +41,7 @@ from flexfmu.cosim.studies.paper.tables import (
     simulate,
     simulated_cases,
 )
+from flexfmu.model.scene.file import load_scene
 
 DEFAULT_FOLDER = RESULTS / "paper"
 """Default folder of the results."""
@@ -125,11 +128,12 @@ class PaperReport:
         tiles |= {"to the printed digits": found["to_the_digits"], "misprinted, not counted": found["misprinted"]}
         times = [[name, f"{seconds:.1f} s"] for name, seconds in self.timing.items()]
         versions = [[name, version or "unknown"] for name, version in self.versions.items()]
-        folded = [
+        frame = of_scene(load_scene(TRAJECTORY_SCENE))
+        frame["folded"] += [
             Table(title, (), rows) for title, rows in (("Wall-clock times", times), ("Versions", versions)) if rows
         ]
         title = "The paper's experiment, printed and computed"
-        return Page(title, self.summary(), tiles=[(name, [f"{n}"]) for name, n in tiles.items()], folded=folded)
+        return Page(title, self.summary(), tiles=[(name, [f"{n}"]) for name, n in tiles.items()], **frame)
 
     def write(self, folder: Path) -> None:
         """Write what is known: page and JSON.

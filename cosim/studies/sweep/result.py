@@ -28,8 +28,8 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.many.journal import Journal, difference
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, metric
 from flexfmu.cosim.reports.chart import INK, PALETTE, Curve, Panel
-from flexfmu.cosim.reports.comparison import FIRST_METRICS
-from flexfmu.cosim.reports.page import Page, Plot, Table
+from flexfmu.cosim.reports.page import FIRST_METRICS, TILES, Page, Plot, Table
+from flexfmu.cosim.reports.report import of_scene
 from flexfmu.cosim.studies.sweep.cases import Cases, short_text, text_of
 from flexfmu.cosim.studies.sweep.work import Row
 from flexfmu.model.scene.schema import Scene
@@ -37,8 +37,8 @@ from flexfmu.model.scene.schema import Scene
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PLOTS, TILES = 12, 6
-"""Metrics that the page draws, and those whose extremes stand at its top."""
+PLOTS = 12
+"""Metrics that the page draws."""
 
 MANIFEST, JOURNAL, TABLE, SIGNALS = "sweep.json", "journal.csv", "sweep.csv", "signals"
 """What is swept, finished cases while the sweep runs, all of them at its end, and the folder of recorded signals."""
@@ -212,7 +212,9 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
             if all(isinstance(each, int | float) and not isinstance(each, bool) for each in column)
         }
         plots = [self._plot(name, numbers) for name in shown]
-        page = Page(f"{self.name}: sweep", verdict or "No case has a value.", plots, tiles=tiles, folded=[self.table()])
+        frame = {"folded": []} if self.scene is None else of_scene(self.scene)
+        frame["folded"] = [self.table(), *frame["folded"]]
+        page = Page(f"{self.name}: sweep", verdict or "No case has a value.", plots, tiles=tiles, **frame)
         if live:
             from flexfmu.cosim.exchange.live import swept_page  # which few sweeps need
 

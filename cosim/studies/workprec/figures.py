@@ -16,7 +16,8 @@ from matplotlib.figure import Figure
 from flexfmu.cosim.experiment.accuracy import WorkPrecisionTrial
 from flexfmu.cosim.metrics.metric_table import definition
 from flexfmu.cosim.reports.figure_style import PlainNumbers, draw, save
-from flexfmu.cosim.reports.page import Page, Plot
+from flexfmu.cosim.reports.page import TILES, Page, Plot
+from flexfmu.cosim.reports.report import of_scene
 from flexfmu.cosim.reports.work_precision import FLOOR, FRONT, by_line, diagram, fronts, points
 from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy, cheapest, sentence
 
@@ -125,7 +126,9 @@ def html(study: WorkPrecisionStudy) -> str:
                 f"{_title(study, name)[0].partition(' over ')[0]}, fastest within {FINE:g}: {best.line}, {best.label}"
             )
             tiles.append((label, [f"{1e3 * (best.time or 0.0):.3g} ms"]))
-    return Page(f"Work and precision: {study.scene.name}", sentence(study), plots, tiles=tiles).html
+    return Page(
+        f"Work and precision: {study.scene.name}", sentence(study), plots, tiles=tiles[:TILES], **of_scene(study.scene)
+    ).html
 
 
 def _plot(study: WorkPrecisionStudy, name: str) -> Plot:

@@ -157,6 +157,7 @@ SHIPPED = "barnard2012-0.1kg.*barnard2012-6kg"
         *((f"{command} barnard2012-7kg", SHIPPED) for command in ("run", "build", "modes")),
         (f"build {SCENE} --platform amiga -o x.fmu", "linux64"),
         (f"run {SCENE} --format xlsx", "no format 'xlsx' of results; choose from csv, parquet, mat, mcap"),
+        (f"run {SCENE} --live --no-report", "--live is about report.html: leave out --no-report"),
         (f"modes {SCENE} --poses 4", "must be odd and at least 3"),
         ("validate missing.fmu", "missing.fmu"),
         ("validate text.fmu", "text.fmu"),

@@ -149,6 +149,13 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
     run = flexfmu.run(name)
     path = run.live_report(tmp_path / "x.html")
     assert path.stat().st_size < LARGEST_PAGE
+    # without scripts there is nothing that promises more than a picture
+    plain = browser.new_context(java_script_enabled=False).new_page()
+    plain.goto(f"file://{path}")
+    assert "Loading" not in plain.locator("main").inner_text()
+    assert not any(each.is_visible() for each in plain.locator("button, input").all())
+    assert plain.locator("svg.plain").first.is_visible()
+    plain.context.close()
     page, problems = browser.new_page(viewport={"width": 1400, "height": 900}), list[str]()
     page.on("console", lambda message: problems.append(message.text))
     page.on("pageerror", lambda error: problems.append(str(error)))

@@ -31,6 +31,12 @@ from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy
 pytestmark = pytest.mark.slow
 
 MakeRun = Callable[..., Run]
+MOVING = ("report", "failed", "workprec", "paper")
+"""Pages with the robot in motion."""
+
+PAPER = 700
+"""Width of what is printed on A4 [px]."""
+
 PAGES = ("report", "failed", "comparison", "measured", "workprec", "hard-cases", "paper")
 
 
@@ -105,6 +111,9 @@ def test_a_page_is_whole_on_a_phone_and_on_a_desk(name: str, browser: Any, folde
             page.wait_for_timeout(50.0)
             if has_scripts:
                 assert page.evaluate("document.documentElement.scrollWidth") == width
+            # tables are blocks on a phone
+            cards = page.locator(".card").evaluate_all("all => all.map(each => each.scrollWidth - each.clientWidth)")
+            assert width > 390 or max(cards, default=0) == 0
             shown = ".panel" if has_scripts else "svg.plain"
             boxes = page.locator(shown).evaluate_all("all => all.map(each => each.getBoundingClientRect().toJSON())")
             assert len(boxes) >= page.locator(".chart").count()
@@ -113,9 +122,34 @@ def test_a_page_is_whole_on_a_phone_and_on_a_desk(name: str, browser: Any, folde
                 assert box["right"] <= width
                 assert box["height"] > 60.0
         assert page.locator("h1").inner_text()
-        assert page.locator(".controls").count() == (has_scripts and name in ("report", "failed"))
+        assert page.locator(".controls").count() == (has_scripts and name in MOVING)
         assert problems == [f"file://{path}"]
         context.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_is_whole_on_paper(name: str, scheme: str, browser: Any, folder: Path) -> None:
+    """Black on white, nothing beyond the edge or without use there, charts within their columns, and legends with their colours."""
+    context = browser.new_context(color_scheme=scheme, viewport={"width": 1400, "height": 900})
+    page = context.new_page()
+    page.goto(f"file://{folder / name}.html")
+    page.emulate_media(media="print")
+    page.set_viewport_size({"width": PAPER, "height": 900})
+    page.wait_for_timeout(200.0)
+    assert page.evaluate("document.documentElement.scrollWidth") == PAPER
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    for box in page.locator("canvas, table, figure").evaluate_all(
+        "all => all.map(each => each.getBoundingClientRect().toJSON())"
+    ):
+        assert box["right"] <= PAPER
+    for style in page.locator(".key i").evaluate_all("all => all.map(each => getComputedStyle(each).printColorAdjust)"):
+        assert style == "exact"
+    # ink that is dark on paper, in charts too
+    ink = page.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--ink')")
+    assert ink.strip() == "#1c2733"
+    assert not any(each.is_visible() for each in page.locator("button:not(.key), input, details:not([open])").all())
+    context.close()
 
 
 def chart_of(page: Any, title: str) -> Any:
@@ -206,7 +240,7 @@ def test_the_legend_hides_a_curve(report: Any) -> None:
 
 def test_the_mechanism_moves(report: Any, run: Run) -> None:
     """The slider's instant and magnification: the end effector is at the rigid position plus the magnified deviation, within the axes."""
-    figure, robot = chart_of(report, "Scene"), bent_robot(run)
+    figure, robot = chart_of(report, "Scene"), bent_robot(run.plan, run.recording, run.robot)
     set_to = "(input, value) => { input.value = value; input.dispatchEvent(new Event('input')); }"
     place = """() => { const panel = page.charts[0].panels[0], { motion, shown } = panel, ends = [motion.extent('x'), motion.extent('y')];
       return [motion.at(motion.frame, motion.count - 1), ends, [shown.x, shown.y]]; }"""

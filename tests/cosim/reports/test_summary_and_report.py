@@ -236,7 +236,7 @@ def still(run: Run, extra: dict[str, Column] | None = None) -> Run:
 def test_a_rigid_robot_deviates_nowhere(make_run: MakeRun) -> None:
     """Elbows and links are those of the inverse kinematics."""
     run = still(make_run())
-    robot = bent_robot(run)
+    robot = bent_robot(run.plan, run.recording, run.robot)
     np.testing.assert_allclose(robot.deviation, 0.0, atol=1e-12)
     middle = robot.time.size // 2
     end = tuple(run.plan.task.evaluate(robot.time[middle : middle + 1], 0)[0, 0].tolist())
@@ -253,7 +253,7 @@ def test_a_link_bends_by_its_shapes(make_run: MakeRun) -> None:
     names = [*(f"link11.bending[{mode}]" for mode in (1, 2, 3)), "link12.bending[1]", "link21.elongation"]
     values = dict(zip(names, (1e-3, -4e-4, 2e-4, 5e-4, 3e-4), strict=True))
     run = still(run, {name: Column("m", np.full(size, value)) for name, value in values.items()})
-    robot, shapes = bent_robot(run), scene_shapes(run.scene)
+    robot, shapes = bent_robot(run.plan, run.recording, run.robot), scene_shapes(run.scene)
     for frame in (0, robot.time.size // 3):
         deviation, points = robot.deviation[frame], robot.rigid[frame]
         # proximal link 1
@@ -280,7 +280,7 @@ def test_a_link_bends_by_its_shapes(make_run: MakeRun) -> None:
 def test_frames_are_recorded_instants(make_run: MakeRun) -> None:
     """The end effector is drawn where it was recorded; the page's numbers are these."""
     run = make_run()
-    robot = bent_robot(run, 50)
+    robot = bent_robot(run.plan, run.recording, run.robot, 50)
     assert robot.time.size == 50
     index = np.searchsorted(run.recording.time, robot.time)
     recorded = np.stack([run.recording[f"end_effector.position.{axis}"].values for axis in "xy"], axis=1)
@@ -294,7 +294,8 @@ def test_frames_are_recorded_instants(make_run: MakeRun) -> None:
 @pytest.mark.parametrize(("largest", "times"), [(2.4e-4, 100.0), (2.5e-4, 50.0), (1.0, 1.0), (3e-12, 1.0), (0.0, 1.0)])
 def test_magnification_is_a_round_number(make_run: MakeRun, largest: float, times: float) -> None:
     """A tenth of a proximal link of 0.24 m at most, 1, 2 or 5 times a power of ten, and never a reduction."""
-    robot = bent_robot(still(make_run()))
+    run = still(make_run())
+    robot = bent_robot(run.plan, run.recording, run.robot)
     deviation = np.zeros_like(robot.deviation)
     deviation[7, -1, 0] = largest * (1.0 - 1e-9)
     assert replace(robot, deviation=deviation).magnification == times
@@ -316,7 +317,7 @@ def test_the_path_is_magnified_about_the_rigid_one(make_run: MakeRun) -> None:
 def test_of_a_long_run_the_end_is_shown(make_run: MakeRun) -> None:
     """Of many cycles, in instants that are close enough for a vibration."""
     run = make_run(changes={"trajectory.dwell": 3.0})
-    robot, (rigid, _) = bent_robot(run), path_panel(run, 1.0).curves
+    robot, (rigid, _) = bent_robot(run.plan, run.recording, run.robot), path_panel(run, 1.0).curves
     assert robot.time[0] == pytest.approx(3.43 - LONGEST, abs=2e-3)
     assert robot.time[-1] == 3.43
     assert np.diff(robot.time).max() < 5e-3
@@ -326,7 +327,7 @@ def test_of_a_long_run_the_end_is_shown(make_run: MakeRun) -> None:
 def test_a_robot_that_runs_away_leaves_the_axes(make_run: MakeRun) -> None:
     """Of an unstable run the mechanism stays visible; otherwise every point of every link is within the axes."""
     run = make_run()
-    robot = bent_robot(run)
+    robot = bent_robot(run.plan, run.recording, run.robot)
     (x0, y0), (x1, y1) = robot.extent
     points = robot.rigid + robot.magnification * robot.deviation
     assert x0 <= points[..., 0].min() < points[..., 0].max() <= x1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import re
 import warnings
+from pathlib import Path
 
 import control
 import numpy as np
@@ -12,9 +13,14 @@ import pytest
 
 import flexfmu
 from flexfmu.cosim.design.margins.loop_warnings import loop_sentences
+from flexfmu.cosim.experiment.accuracy import WorkPrecisionTrial
 from flexfmu.cosim.metrics.metrics import measure_run
+from flexfmu.cosim.reports.plots import draw_plots
 from flexfmu.cosim.reports.report import report_page
 from flexfmu.cosim.reports.summary import instability, summarise
+from flexfmu.cosim.studies.paper.report import PaperReport
+from flexfmu.cosim.studies.workprec.figures import html as workprec_page
+from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy
 from flexfmu.model.scene.schema import Scene
 
 SAMPLE = 1e-3
@@ -96,3 +102,28 @@ def test_results_of_an_unstable_run_stay_unstable() -> None:
     assert instability(about_rest | {"stable": False}) == "the loop is unstable about the end"
     assert instability(about_rest | {"stability": "the loop is close to instability", "stable": True}) == ""
     assert instability({"outcome": "loop unstable", "message": "joint2 grows"}) == "joint2 grows"
+
+
+@pytest.mark.slow
+def test_pages_about_a_scene_have_one_frame() -> None:
+    """A verdict, up to six figures, the robot in motion, what it is made of folded away: of every command."""
+    scene = loop("loop", 5e3, 60.0).replace({"trajectory.dwell": 0.05})
+    trials = (WorkPrecisionTrial("tools", "method", "1e-5", 1e-5, 1e-3, ""),)
+    tuned = flexfmu.tune(scene, {"pd.kp": (4e3, 6e3)}, trials=3, processes=1)
+    pages = {
+        "run": report_page(summarise(run := flexfmu.run(scene), measure_run(run, 0)), draw_plots(run, None)).html,
+        "compare": flexfmu.compare(run, flexfmu.run(scene.replace({"name": "other", "pd.kp": 4e3}))).page(),
+        "sweep": flexfmu.sweep(scene, {"payload.mass": [5.0, 6.0]}, processes=1).page(),
+        "margins": flexfmu.margins(scene, poses=1).page(),
+        "tune": tuned.page(),
+        "workprec": workprec_page(WorkPrecisionStudy(scene, 0.68, 1e-3, None, "", trials)),
+        "paper": PaperReport().to_html(Path()),
+    }
+    for name, page in pages.items():
+        assert verdict_of(page), name
+        assert page.count('class="tile"') >= 1, name
+        assert page.count('"motion":{') == 1, name
+        assert "<summary>Scene file</summary>" in page, name
+        assert "<summary>Effects</summary>" in page, name
+    assert pages["compare"].count('class="tile"') == pages["margins"].count('class="tile"') == 6
+    assert "<summary>Slaves</summary>" in pages["compare"]
