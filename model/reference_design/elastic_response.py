@@ -548,10 +548,14 @@ class _Functions:
         return np.array([self.derive(list((start | dict(variant)).values())).full().ravel() for variant in variants])
 
 
+NO_FORCE = 1e-6
+"""Force [N] below which magnitudes are rounded: that of no force at all has no derivative."""
+
+
 def _reactions(scene: Scene, five_bar: FiveBar) -> casadi.SX:
     """Magnitudes (4,) of the forces in the elbows and between the legs and the end effector [N]."""
     return casadi.vertcat(
-        *(casadi.sqrt(casadi.sumsqr(each)) for each in (*five_bar.forces.elbows, *five_bar.forces.pulls))
+        *(casadi.sqrt(casadi.sumsqr(each) + NO_FORCE**2) for each in (*five_bar.forces.elbows, *five_bar.forces.pulls))
     )
 
 

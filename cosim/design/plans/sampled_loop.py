@@ -21,14 +21,15 @@ from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.experiment.scene_loop import own_loop
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import PreparedScene
+from flexfmu.model.kinematics import load_mass_matrix
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.trajectory import Trajectory
 
-RUNS, SETTLED = 10, 0.03
+RUNS, SETTLED = 8, 0.03
 """Runs from which the feedforward is learned, and time after the motion up to which it is corrected [s]."""
 
-AHEAD, SMOOTHED = 2.5, 6
+AHEAD, SMOOTHED = 1.5, 20
 """How many samples later the error tells what a torque lacks, and how often corrections are averaged over three samples: a loop amplifies
 what changes from sample to sample."""
 
@@ -89,6 +90,8 @@ def with_learned_torques(scene: Scene, joints: Trajectory, dwell: float = 0.0) -
     instants = last.sample_time * (np.arange(count) + AHEAD)
     motion = joints.evaluate(np.minimum(instants, joints.duration), 1, "left")
     motion[1, instants > joints.duration] = 0.0
+    # what turns, as rigid: with gains alone what is faster than the loop would hardly be learned
+    masses = load_mass_matrix(scene, motion[0]).diagonal(axis1=1, axis2=2) + scene.effects.motor_inertia
     # one row more, of zeros, which holds on
     correction, best = np.zeros((count + 1, 2)), (inf, scene)
 
@@ -107,6 +110,7 @@ def with_learned_torques(scene: Scene, joints: Trajectory, dwell: float = 0.0) -
                 for k, name in enumerate(("position", "velocity"))
             )
             torque = gains[0].proportional[joint] * position + gains[0].derivative[joint] * velocity
+            torque += masses[:, joint] * np.gradient(velocity, last.sample_time)
             for _ in range(SMOOTHED):
                 torque = np.convolve(np.pad(torque, 1, mode="edge"), (0.25, 0.5, 0.25), mode="valid")
             correction[:-1, joint] += torque

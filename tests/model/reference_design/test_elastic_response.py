@@ -9,12 +9,13 @@ from scipy.interpolate import CubicSpline
 import flexfmu
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.collocation import collocation
-from flexfmu.model.reference_design.elastic_response import ElasticResponse, free_modes
+from flexfmu.model.reference_design.elastic_response import ElasticResponse, _functions, free_modes
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis, derivative_matrix, fitted, rest_matrix
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import natural_frequencies, static_equilibrium
+from flexfmu.model.vectorised import Vectorised
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import PiecewisePolynomial
@@ -168,3 +169,14 @@ def test_variants_at_rest_have_the_equilibria_and_the_frequencies_of_their_scene
 def test_an_unknown_parameter_is_named(scene: Scene, motion: JointSpline) -> None:
     with pytest.raises(SceneError, match=r"has no parameter `payload\.weight`"):
         ElasticResponse(scene, [{"payload.weight": 1.0}], motion.coefficients[0], 10)
+
+
+def test_no_force_in_a_joint_has_a_derivative() -> None:
+    """Without payload and gravity nothing pulls at rest, where the magnitude of a force has no derivative of its own."""
+    scene = load_scene("barnard2012-6kg").replace({"payload.mass": 0.0, "effects.gravity": [0.0, 0.0]})
+    functions = _functions(scene, Vectorised, ("reaction",))
+    angles = plan(scene).once.joints.evaluate([0.0], 0, "right")[0]
+    still = [np.zeros((1, functions.n))] * 3 + [np.hstack([angles, np.zeros((1, 4))]), functions.parameters([{}])]
+    values, derivatives = functions.linear(still)
+    assert abs(values[0, -4:]).max() < 1e-5
+    assert np.isfinite(derivatives).all()

@@ -14,8 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given as drawn
+from hypothesis import settings
+from hypothesis import strategies as st
 
 import flexfmu
+from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.plans import optimal as method
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, goals_of
@@ -27,7 +31,7 @@ from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.many.journal import FILE, WorkJournal, about_scene
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.reference_design.joint_spline import fitted
-from flexfmu.model.reference_design.optimal_control import GROUPS, Improvement, Way
+from flexfmu.model.reference_design.optimal_control import GROUPS, Improvement, ResidualVibration, Way
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.statics import static_equilibrium
@@ -118,6 +122,26 @@ def test_what_the_fmu_finds_beyond_a_limit_is_taken_off_it(
     assert not found[0].feasible
     assert found[-1].feasible
     assert found[0].time < found[-1].time
+
+
+@pytest.mark.slow
+@settings(max_examples=6)
+@drawn(st.floats(0.02, 0.3), st.floats(0.0, 8.0), st.floats(0.13, 0.35), st.booleans())
+def test_what_settles_is_bounded_as_the_fmu_settles(ratio: float, mass: float, time: float, is_modal: bool) -> None:
+    """From no, little and much time after drawn motions on, the bound by modal decay is at most half above what the FMU swings."""
+    damping = {"kind": "modal", "ratio": ratio} if is_modal else {"kind": "stiffness", "time": 1e-3 * ratio}
+    keys = {"effects.damping": damping, "payload.mass": mass, "trajectory.duration": time, "trajectory.dwell": 0.6}
+    scene = load_scene("barnard2012-6kg").replace({**keys, "effects.proximal_bending": 2, "effects.distal_axial": 1})
+    spline = fitted(flexfmu.reference_motion(scene).joints, 20)
+    response = ElasticResponse(scene, [{}], spline.coefficients[0], 400, CompiledAtPoints)
+    state, last = response.of_motion(spline, derivatives=False).end, spline.coefficients[-1]
+    run = flexfmu.run(scene, trajectory=spline.trajectory(), tolerance=1e-9)
+    points = np.column_stack([run.recording[f"end_effector.position.{axis}"].values for axis in "xy"])
+    away = np.hypot(*(points - static_equilibrium(scene, last).position).T)
+    for wait in (0.0, 0.03, 0.1, 0.2):
+        swing = float(away[run.recording.time >= time + wait].max())
+        bound = float(ResidualVibration([response.model], last, wait).largest(state)[0])
+        assert 0.99 * swing - 1e-8 < bound < 2.0 * swing + 1e-8
 
 
 CYCLE = SCENE.replace(
@@ -244,6 +268,36 @@ def test_the_loop_is_in_the_plan_and_in_its_file(tmp_path: Path, monkeypatch: py
     assert after < 0.2 * before
     with pytest.raises(InputError, match="follow exactly"):
         goals_of(CYCLE.replace(loop))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_torques_that_loops_learn_leave_less_vibration(seed: int) -> None:
+    """For drawn gains of PD controllers, whose velocities lag, and of PID ones, which follow: runs with encoders leave nearly what motors that follow exactly do."""
+    random, sample_time = np.random.default_rng(seed), (5e-4, 1e-3)[seed // 2]
+    stiffness = 10.0 ** random.uniform(3.8, 4.3)
+    gains: dict[str, Any] = {
+        "kind": "pd",
+        "proportional": stiffness,
+        "derivative": stiffness * random.uniform(0.008, 0.01),
+    }
+    gains |= {"kind": "pid", "integral": stiffness * random.uniform(0.0, 3.0)} if seed % 2 else {}
+    feedforward = {"kind": "feedforward", "robot": "flexible", "sample_time": sample_time}
+    exact = SCENE.replace({"plan": None, "effects.motor_inertia": 0.1, "trajectory.dwell": 0.25})
+    scene = exact.replace(
+        {
+            "cosimulation.drive": "torque",
+            "controller": [{**gains, "sample_time": sample_time}, feedforward],
+            "imperfection": [{"kind": "encoder", "counts_per_turn": 1e6}],
+        }
+    )
+    joints = fitted(flexfmu.reference_motion(SCENE).joints, 24).with_duration(0.33).trajectory()
+    promised, before, after = (
+        float(flexfmu.run(each, trajectory=joints).metrics["residual_vibration_amplitude"])
+        for each in (exact, scene, with_learned_torques(scene, joints))
+    )
+    assert abs(before - promised) > 1e-6 or gains["kind"] == "pid"
+    assert abs(after - promised) < 0.25 * abs(before - promised) + 4e-7
 
 
 @pytest.mark.slow
