@@ -32,6 +32,12 @@ OTHERS: dict[str, dict[str, Any]] = {
         "cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "imperfection": [{"kind": "encoder", "counts_per_turn": 1e6}],
         "controller": [{"kind": "pid", "proportional": 1e4, "integral": 0.0, "derivative": 100.0, "sample_time": 1e-3}],
     },
+    "targets": {
+        "plan.cycle": {
+            "pause": 0.1, "return_payload": 0.0,
+            "targets": [{"position": [0.05, 0.36], "payload": 3.0, "pause": 0.2}, {"position": [-0.1, 0.30], "payload": 1.0}],
+        }
+    },
     "drives": {
         "motor": {
             "continuous_torque": 1.6, "peak_torque": 4.8, "maximum_speed": 600.0, "torque_speed_curve": [[0.0, 4.8], [300.0, 4.8], [600.0, 2.0]],

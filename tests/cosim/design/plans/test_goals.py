@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import flexfmu
 from flexfmu.cosim.design.limits import Limit
+from flexfmu.cosim.design.plans.assessment import Candidate, Judge
 from flexfmu.cosim.design.plans.clearance import Clearance, Polygon, clearance_of_trace
 from flexfmu.cosim.design.plans.goals import LEAST_DWELL, checked_goals, goals_of
 from flexfmu.cosim.engine.errors import InputError
@@ -261,6 +263,34 @@ def test_motors_replace_the_given_motions_limits() -> None:
     assert "motor_rms_torque" not in free
     with pytest.raises(InputError, match="add a section `motor`"):
         goals_of(scene.replace({"plan.limits.motor_torque": 0.9}))
+
+
+@pytest.mark.slow
+def test_limits_of_shafts_are_of_the_motors_and_ratios_of_the_given_motion() -> None:
+    """A number is a share of what the motor can; a ratio is one of what the given motion asks of it: by gear, rotor and friction in numpy."""
+    motor = {
+        "continuous_torque": 1.6, "peak_torque": 4.8, "maximum_speed": 600.0, "gear_ratio": 25.0, "gear_efficiency": 0.9, "rotor_inertia": 4e-5,
+    }  # fmt: skip
+    limits = {"motor_torque": {"ratio": 1.2}, "motor_rms_torque": 0.9, "motor_speed": {"ratio": 1.1}}
+    scene = load_scene("barnard2012-6kg").replace(
+        {"motor": motor, "plan.payload_band": 0.0, "plan.limits": limits, "effects.proximal_bending": 1}
+    )
+    judge, needs = Judge(goals_of(scene), 1), list[tuple[float, float, float]]()
+    faster = Candidate("faster", "search", judge.goals.scene.replace({"trajectory.duration": 0.4}))
+    for each in (judge.given.candidate, faster):
+        run = flexfmu.run(each.scene, communication_step=5e-5, tolerance=1e-8)
+        time = run.recording.time
+        torque = np.column_stack([run.recording[f"joint{joint}.torque"].values for joint in (1, 2)])
+        _, speed, acceleration = run.plan.joints.evaluate(np.minimum(time, run.plan.duration), 2, "left")
+        speed[time > run.plan.duration] = acceleration[time > run.plan.duration] = 0.0
+        shaft = torque / 25.0 * 0.9 ** -np.sign(torque * speed) + 4e-5 * 25.0 * acceleration
+        rms = np.sqrt(np.trapezoid(shaft**2, time, axis=0) / time[-1])
+        needs.append((abs(shaft).max() / 4.8, rms.max() / 1.6, abs(speed).max() * 25.0 / 600.0))
+    uses = {use.figure: use for use in judge.assess(faster).uses}
+    (given_torque, _, given_speed), (torque, rms, speed) = needs
+    assert uses["motor_torque"].share == pytest.approx(torque / given_torque / 1.2, rel=0.02)
+    assert uses["motor_rms_torque"].share == pytest.approx(rms / 0.9, rel=2e-3)
+    assert uses["motor_speed"].share == pytest.approx(speed / given_speed / 1.1, rel=2e-3)
 
 
 def test_a_motor_that_cannot_hold_the_payload_is_an_error() -> None:

@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 import flexfmu
 from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.plans import optimal as method
+from flexfmu.cosim.design.plans import planner
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, goals_of
 from flexfmu.cosim.design.plans.optimal import optimal
@@ -34,7 +35,9 @@ from flexfmu.model.reference_design.joint_spline import fitted
 from flexfmu.model.reference_design.optimal_control import GROUPS, Improvement, ResidualVibration, Way
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
+from flexfmu.trajectories.trajectory import Trajectory
 
 SCENE = load_scene("barnard2012-6kg").replace(
     {
@@ -199,6 +202,73 @@ def test_both_ways_of_a_cycle_keep_its_limits_in_the_fmu(tmp_path: Path, monkeyp
     assert 4000.0 * result.chosen.time - 1.0 < len(table.torque) < 4000.0 * result.chosen.time + 2.0
     assert np.abs(np.diff(table.values[0], axis=0)).max() < 1e-3 * np.ptp(table.values[0]) + 0.01
     assert table.values[0, -1] == pytest.approx(table.values[0, 0], abs=1e-9)
+
+
+def needs_of_cycle(ways: Sequence[tuple[Scene, Trajectory]], share: float) -> dict[str, Any]:
+    """What a cycle with this share of its payloads needs, by sums over the samples of fine runs, ways from rest: each joint's or of all."""
+    squares, energy, time, residual = np.zeros(2), 0.0, 0.0, 0.0
+    power, torque = np.zeros(2), np.zeros(2)
+    for (scene, motion), pause in zip(ways, (0.1, 0.2, 0.05, 0.1), strict=True):
+        payload = {"payload.mass": share * scene.payload.mass}
+        run = flexfmu.run(scene.replace(payload), trajectory=motion, communication_step=5e-5, tolerance=1e-8)
+        moving = run.recording.time <= motion.duration + 1e-12
+        instants = run.recording.time[moving]
+        torques, points = (
+            np.column_stack([run.recording[name].values for name in names])
+            for names in (("joint1.torque", "joint2.torque"), ("end_effector.position.x", "end_effector.position.y"))
+        )
+        flow = torques[moving] * motion.evaluate(np.minimum(instants, motion.duration), 1, "left")[1]
+        squares += np.trapezoid(torques[moving] ** 2, instants, axis=0) + torques[-1] ** 2 * pause
+        energy += float(np.trapezoid(np.maximum(flow, 0.0), instants, axis=0).sum())
+        power, torque = np.maximum(power, abs(flow).max(axis=0)), np.maximum(torque, abs(torques[moving]).max(axis=0))
+        time += motion.duration + pause
+        residual = max(residual, float(np.hypot(*(points[~moving] - points[-1]).T).max()))
+    return {
+        "rms_torque": np.sqrt(squares / time),
+        "power": power,
+        "torque": torque,
+        "energy": energy,
+        "time": time,
+        "residual": residual,
+    }
+
+
+@pytest.mark.slow
+def test_a_cycle_of_four_ways_needs_what_independent_runs_need(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other payloads on each way: for all payloads of the band, loads by sums over the samples of fine runs are those that are stated, within the limits."""
+    monkeypatch.setattr(method, "INTERVALS", 20)
+    monkeypatch.setattr(method, "fuller_scene", lambda scene: None)
+    monkeypatch.setattr(method, "PAYLOADS", (3, 1))
+    monkeypatch.setattr(planner, "JUDGED", 3)
+    targets = [
+        {"position": [0.05, 0.36], "payload": 3.0, "pause": 0.2},
+        {"position": [-0.1, 0.30], "payload": 1.0, "pause": 0.05},
+    ]
+    cycle = {
+        "plan.cycle": {"pause": 0.1, "targets": targets},
+        "plan.payload_band": 0.1,
+        "plan.limits.energy": {"ratio": 1.05},
+    }
+    result = plan_scene(CYCLE.replace(cycle))
+    assert not result.missed
+    assert result.chosen.time < 0.9 * result.given.time
+    found = list[list[dict[str, Any]]]()
+    for assessed in (result.given, result.chosen):
+        ways = [(each.scene, each.joints) for each in assessed.candidate.ways]
+        assert [scene.payload.mass for scene, _ in ways] == [6.0, 3.0, 1.0, 0.0]
+        found.append([needs_of_cycle(ways, share) for share in (0.9, 1.0, 1.1)])
+        for needs, peaks in zip(found[-1], assessed.peaks, strict=True):
+            for name in ("rms_torque", "power", "torque", "energy"):
+                assert getattr(peaks, name) == pytest.approx(needs[name], rel=2e-3), name
+            # what the way before leaves may add to it
+            assert needs["residual"] < peaks.residual + 1e-9
+            assert needs["time"] == pytest.approx(assessed.time)
+    for name, most in (("rms_torque", 1.0), ("power", 1.0), ("torque", 1.0), ("energy", 1.05)):
+        ratio = max(np.max(each[name] / usual[name]) for usual, each in zip(*found, strict=True))
+        assert ratio < most + 1e-3
+        (use,) = (use for use in result.chosen.uses if use.figure == name)
+        assert use.value == pytest.approx(ratio, rel=2e-3)
+    assert max(each["residual"] for each in found[1]) < 1e-6
 
 
 @pytest.mark.slow
