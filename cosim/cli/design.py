@@ -593,6 +593,7 @@ def plan(
     front: str | None = None,
     method: list[str] | None = None,
     candidate: list[Path] | None = None,
+    warm_start: Path | None = None,
     budget: Annotated[float | None, typer.Option(min=0.0)] = None,
     seed: int | None = None,
     processes: ProcessesOption = None,
@@ -639,6 +640,8 @@ def plan(
         method (NAME): search, flexible or optimal; may be repeated. Default: all.
         candidate (FILE.csv): A motion of your own, of joints or end effector, to compare; may be repeated.
             Default: none.
+        warm_start (DIR): The folder of an earlier plan, for another start or payload for example: optimal control goes on from its motion, in
+            a few seconds, alone unless --method says more. Default: a plan from the beginning.
         budget (SECONDS): Start no further method or candidate after this time. Default: no limit.
         seed (N): Seed of the search. Default: the scene's, or 0.
         robust: Evaluate the chosen motion in richer models too.
@@ -657,10 +660,10 @@ def plan(
     from flexfmu.cosim.design.identification.result import Identification
     from flexfmu.cosim.design.plans.assessment import file_candidate
     from flexfmu.cosim.design.plans.drive_table import check_drive
-    from flexfmu.cosim.design.plans.planned_files import summary, write_plan, write_scene
-    from flexfmu.cosim.design.plans.planner import METHODS, plan_scene
+    from flexfmu.cosim.design.plans.planned_files import planned_scenes, summary, write_plan, write_scene
+    from flexfmu.cosim.design.plans.planner import METHODS, about_plan, plan_scene
     from flexfmu.cosim.engine.files import write_whole
-    from flexfmu.cosim.many.journal import WorkJournal, about_scene
+    from flexfmu.cosim.many.journal import WorkJournal
 
     console.check_scene_file(output)
     console.check_file(export, ".csv", "a drive's table")
@@ -682,17 +685,19 @@ def plan(
     }  # fmt: skip
     bands = {} if identified is None else Identification.read(identified).plan_bands(robot)
     robot = with_wishes(robot, bands | {key: value for key, value in wishes.items() if value is not None}, limit or [])
+    before = [] if warm_start is None else planned_scenes(warm_start)
     folder = out or console.usual_folder(robot.name, settings, "-plan")
     console.prepared_folder(folder)
     journal, started = (
-        WorkJournal(folder, "plan", about_scene(robot), restart=restart, note=console.show_note),
+        WorkJournal(folder, "plan", about_plan(robot, before), restart=restart, note=console.show_note),
         monotonic(),
     )
     with console.progress() as show:
         result = plan_scene(
             robot,
-            methods=method or METHODS,
+            methods=method or (("optimal",) if before else METHODS),
             candidates=[file_candidate(robot, path) for path in candidate or ()],
+            before=before,
             processes=processes or os.cpu_count() or 1,
             budget=budget,
             robust=robust,
@@ -807,7 +812,8 @@ def _shown_plan(result: PlanResult) -> Iterator[RenderableType]:
         table = replace(table, title=title, rows=rows)
     yield as_terminal_table(table, texts=("Limits",))
     kept = sum(each.feasible for each in result.assessed)
-    yield f"Tried: {len(result.assessed)} motions, {kept} within all limits; all are in plan.html and plan.json."
+    count = len(result.assessed)
+    yield f"Tried: {count} motion{'s' if count != 1 else ''}, {kept} within all limits; all are in plan.html and plan.json."
     if result.robustness:
         yield as_terminal_table(robustness_table(result), texts=("Model", "Worst for", "Limits"))
     yield f"{result.verdict[0].upper()}{result.verdict[1:]}."

@@ -492,6 +492,7 @@ def plan_motion(
     *,
     methods: Collection[str] | None = None,
     candidates: Mapping[str, OwnMotion | Trajectory] | None = None,
+    warm_start: str | Path | None = None,
     processes: int | None = None,
     budget: float | None = None,
     robust: bool = True,
@@ -509,8 +510,9 @@ def plan_motion(
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene.
-        methods: which of ``search``, ``flexible`` and ``optimal``; None for all.
+        methods: which of ``search``, ``flexible`` and ``optimal``; None for all, with a warm start for ``optimal``.
         candidates: name → further motion to compare with those found, as `run` takes it.
+        warm_start: folder of an earlier plan, whose motion optimal control goes on from; None for a plan from the beginning.
         processes: number of processes of the search; None for one on each processor.
         budget: time [s] after which no further candidate is started; None for no limit.
         robust: whether the chosen motion is also run in richer models, up to half a minute.
@@ -533,17 +535,19 @@ def plan_motion(
         TypeError: ``scene`` is of another type.
     """
     from flexfmu.cosim.design.plans.assessment import own_candidate
-    from flexfmu.cosim.design.plans.planned_files import write_plan
-    from flexfmu.cosim.design.plans.planner import METHODS, plan_scene
-    from flexfmu.cosim.many.journal import WorkJournal, about_scene
+    from flexfmu.cosim.design.plans.planned_files import planned_scenes, write_plan
+    from flexfmu.cosim.design.plans.planner import METHODS, about_plan, plan_scene
+    from flexfmu.cosim.many.journal import WorkJournal
 
     robot = as_scene(scene)
     if wishes:
         robot = robot.replace({f"plan.{key}": value for key, value in wishes.items()})
-    journal = WorkJournal(None if out is None else Path(out), "plan", about_scene(robot), restart=restart)
+    before = [] if warm_start is None else planned_scenes(Path(warm_start))
+    journal = WorkJournal(None if out is None else Path(out), "plan", about_plan(robot, before), restart=restart)
     result = plan_scene(
         robot,
-        methods=METHODS if methods is None else tuple(methods),
+        methods=(("optimal",) if before else METHODS) if methods is None else tuple(methods),
+        before=before,
         candidates=[own_candidate(robot, name, motion) for name, motion in (candidates or {}).items()],
         processes=processes or os.cpu_count() or 1,
         budget=budget,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -144,41 +144,25 @@ def own_candidate(scene: Scene, name: str, motion: OwnMotion | Trajectory) -> Ca
 
 @dataclass(frozen=True, eq=False)
 class Peaks:
-    """What a run of one robot needs; pairs are joints.
+    """What a run of one robot needs.
+
+    Its values are by figure, one or one for each joint: ``torque``, ``rms_torque`` [N.m] and ``power`` [W], largest magnitudes; ``residual``
+    [m], the largest distance from the rest position after the motion; ``energy`` [J] that the motors give, without what they take back;
+    ``supply_power`` and ``regenerated_power`` [W] of both motors together, into the robot and out of it, and ``regenerated_energy`` [J]
+    that flows out; ``motor_torque``, ``motor_rms_torque`` and ``motor_speed`` of the shafts relative to what the motors can, the torque at
+    its speed, the RMS torque that heats them as much, 0 without a section `motor`; ``off_path`` [m], the largest distance of the end effector
+    from the given path; ``clearance`` [m], the smallest one to the keep-out region; and where they are limited ``reaction`` [N], the
+    largest force in a joint, and ``stress`` [Pa] of a link.
 
     Attributes:
         variation: the robot.
-        torque, rms_torque, power: largest magnitudes [N.m], [N.m], [W].
-        torque_time: instants of the largest torques [s].
-        residual: largest distance from the rest position after the motion [m].
-        energy: mechanical energy that the motors give, without what they take back [J].
-        supply_power, regenerated_power: largest power of both motors together, into the robot and out of it [W].
-        regenerated_energy: what flows out of it [J].
-        motor_torque, motor_rms_torque, motor_speed: of the shafts, relative to what the motors can: the torque at its speed, the RMS torque
-            that heats them as much; 0 without a section `motor`.
-        off_path: largest distance of the end effector from the given path [m], and when [s].
-        clearance: smallest distance to the keep-out region [m], and when [s].
-        reaction: largest force in a joint [N]; NaN if it isn't limited.
-        stress: largest stress of a link [Pa]; NaN if it isn't limited.
+        values: of each figure.
+        times: instants of some of them [s].
     """
 
     variation: Variation
-    torque: tuple[float, float]
-    torque_time: tuple[float, float]
-    rms_torque: tuple[float, float]
-    power: tuple[float, float]
-    residual: float
-    energy: float
-    supply_power: float
-    regenerated_power: float
-    regenerated_energy: float
-    motor_torque: tuple[float, float]
-    motor_rms_torque: tuple[float, float]
-    motor_speed: tuple[float, float]
-    off_path: tuple[float, float]
-    clearance: tuple[float, float]
-    reaction: float
-    stress: float
+    values: Mapping[str, tuple[float, ...]]
+    times: Mapping[str, tuple[float, ...]]
 
 
 FIGURES: Mapping[str, tuple[str, str]] = {
@@ -195,6 +179,15 @@ FIGURES: Mapping[str, tuple[str, str]] = {
     "clearance": ("Smallest distance to the keep-out region", "m"),
 }
 """Figure of an assessment → label and SI unit."""
+
+
+def _worst(figure: str) -> Any:
+    """The property of an assessment that is the worst value of a figure."""
+
+    def find(self: Assessment) -> float:
+        return self.worst(figure)
+
+    return property(find, doc=FIGURES[figure][0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,55 +219,19 @@ class Assessment:
         shares = (use.share for use in self.uses if not use.met)
         return max((math.inf if math.isnan(each) else each for each in shares), default=0.0)
 
-    @property
-    def residual(self) -> float:
-        """Worst residual vibration [m]."""
-        return max(each.residual for each in self.peaks)
+    def worst(self, figure: str) -> float:
+        """The worst value of a figure of `Peaks` within the bands, of both joints."""
+        values = [value for each in self.peaks for value in each.values[figure]]
+        return min(values) if figure == "clearance" else max(values)
 
-    @property
-    def energy(self) -> float:
-        """Largest energy of a run [J]."""
-        return max(each.energy for each in self.peaks)
-
-    @property
-    def torque(self) -> float:
-        """Largest torque [N.m]."""
-        return max(max(each.torque) for each in self.peaks)
-
-    @property
-    def rms_torque(self) -> float:
-        """Largest root mean square of a torque [N.m]."""
-        return max(max(each.rms_torque) for each in self.peaks)
-
-    @property
-    def power(self) -> float:
-        """Largest power of a motor [W]."""
-        return max(max(each.power) for each in self.peaks)
-
-    @property
-    def supply_power(self) -> float:
-        """Largest power of both motors together into the robot [W]."""
-        return max(each.supply_power for each in self.peaks)
-
-    @property
-    def regenerated_power(self) -> float:
-        """Largest power of both motors together out of the robot [W]."""
-        return max(each.regenerated_power for each in self.peaks)
-
-    @property
-    def off_path(self) -> float:
-        """Largest distance of the end effector from the given path [m]."""
-        return max(each.off_path[0] for each in self.peaks)
+    residual, torque, rms_torque, power = map(_worst, ("residual", "torque", "rms_torque", "power"))
+    supply_power, regenerated_power = map(_worst, ("supply_power", "regenerated_power"))
+    energy, off_path, clearance = map(_worst, ("energy", "off_path", "clearance"))
 
     @property
     def jerk(self) -> float:
         """Largest jerk of a joint's references [rad/s³]."""
         return self.references[2]
-
-    @property
-    def clearance(self) -> float:
-        """Smallest distance to the keep-out region [m], negative within it."""
-        return min(each.clearance[0] for each in self.peaks)
 
     @cached_property
     def torque_ratio(self) -> float:
@@ -342,60 +299,33 @@ class Judge:
         pauses = [each.pause or 0.0 for each in self.goals.ways]
         times = [way.time + pause for way, pause in zip(ways, pauses, strict=True)]
         variations = [[peaks.variation for peaks in way.peaks] for way in ways]
-        cases = cases_of(variations)
+        cases, starts = cases_of(variations), np.cumsum(times) - times
         left = _left_vibration(self.goals, [each.joints for each in candidate.ways], variations, cases)
         found = []
         for case, first in enumerate(variations[int(np.argmax([*map(len, variations)]))]):
-            # with instants of the cycle
-            each = list[Peaks]()
-            for way, of_case, bound, start in zip(ways, cases, left, np.cumsum(times) - times, strict=True):
-                # also in the first cycle, which starts at rest
-                peaks, (periodic, more) = way.peaks[of_case[case]], bound[:, case].tolist()
-                each.append(
-                    replace(
-                        peaks,
-                        torque_time=(float(start) + peaks.torque_time[0], float(start) + peaks.torque_time[1]),
-                        residual=max(peaks.residual, min(peaks.residual + more, periodic)),
-                        off_path=(peaks.off_path[0], float(start) + peaks.off_path[1]),
-                        clearance=(peaks.clearance[0], float(start) + peaks.clearance[1]),
+            each = [way.peaks[of_case[case]] for way, of_case in zip(ways, cases, strict=True)]
+            values, instants = dict[str, tuple[float, ...]](), dict[str, tuple[float, ...]]()
+            for name in each[0].values:
+                rows = np.array([peaks.values[name] for peaks in each])
+                if name == "residual":
+                    # also in the first cycle, which starts at rest
+                    periodic, more = left[:, :, case].T[..., np.newaxis]
+                    rows = np.maximum(rows, np.minimum(rows + more, periodic))
+                whole = rows.min(axis=0) if name == "clearance" else rows.max(axis=0)
+                if name in optimal_control.ROOTS:
+                    heating = [self._heating(name, time) for time in times]
+                    whole = np.average(rows**2 / heating, axis=0, weights=times) * self._heating(name, sum(times))
+                    whole = np.sqrt(whole)
+                elif name in optimal_control.OF_CYCLE:
+                    whole = rows.sum(axis=0)
+                elif name in each[0].times:
+                    # of the cycle
+                    ends = np.array([start + np.array(p.times[name]) for start, p in zip(starts, each, strict=True)])
+                    instants[name] = (
+                        *np.take_along_axis(ends, np.abs(rows - whole).argmin(axis=0)[np.newaxis], 0)[0].tolist(),
                     )
-                )
-            torque = [max((peaks.torque[k], peaks.torque_time[k]) for peaks in each) for k in range(2)]
-            squares = np.average([np.square(peaks.rms_torque) for peaks in each], axis=0, weights=times)
-            motors = np.average(
-                [
-                    np.square(peaks.motor_rms_torque) / self._heating(time)
-                    for peaks, time in zip(each, times, strict=True)
-                ],
-                axis=0,
-                weights=times,
-            )
-            heat = np.sqrt(motors * self._heating(sum(times)))
-            power, motor_torque, motor_speed = (
-                np.max([getattr(peaks, name) for peaks in each], axis=0).tolist()
-                for name in ("power", "motor_torque", "motor_speed")
-            )
-            found.append(
-                Peaks(
-                    first,
-                    torque=(torque[0][0], torque[1][0]),
-                    torque_time=(torque[0][1], torque[1][1]),
-                    rms_torque=(float(squares[0] ** 0.5), float(squares[1] ** 0.5)),
-                    power=(power[0], power[1]),
-                    residual=max(peaks.residual for peaks in each),
-                    energy=sum(peaks.energy for peaks in each),
-                    supply_power=max(peaks.supply_power for peaks in each),
-                    regenerated_power=max(peaks.regenerated_power for peaks in each),
-                    regenerated_energy=sum(peaks.regenerated_energy for peaks in each),
-                    motor_torque=(motor_torque[0], motor_torque[1]),
-                    motor_rms_torque=(float(heat[0]), float(heat[1])),
-                    motor_speed=(motor_speed[0], motor_speed[1]),
-                    off_path=max(peaks.off_path for peaks in each),
-                    clearance=min(peaks.clearance for peaks in each),
-                    reaction=max(peaks.reaction for peaks in each),
-                    stress=max(peaks.stress for peaks in each),
-                )
-            )
+                values[name] = (*whole.tolist(),)
+            found.append(Peaks(first, values, instants))
         speed, acceleration, jerk = np.max([way.references for way in ways], axis=0).tolist()
         return Assessment(candidate, sum(times), tuple(found), (speed, acceleration, jerk))
 
@@ -431,68 +361,70 @@ class Judge:
 
     def _peaks(self, run: Run, variation: Variation) -> Peaks:
         metrics, recording, end = run.metrics, run.recording, run.plan.duration
-        torques = [recording[f"joint{joint}.torque"].values for joint in (1, 2)]
-        moving = recording.time <= end
+        time, torques = recording.time, [recording[f"joint{joint}.torque"].values for joint in (1, 2)]
         points = np.column_stack([recording[f"end_effector.position.{axis}"].values for axis in "xy"])
+        moving, vibrating = time <= end, time >= end + self.goals.wishes.settled_within
         off, clear = (
             self._off_path(points[moving]),
             self.goals.clearance.along(points[moving], self.goals.wishes.margin),
         )
 
-        def power(joint: int) -> float:
-            return max(float(metrics[f"{name}_{joint}"]) for name in ("peak_power", "peak_regenerated_power"))
+        def of_joints(name: str) -> RealArray:
+            return np.array([float(metrics[f"{name}_{joint}"]) for joint in (1, 2)])
 
-        # from when on the vibration counts
         residual = float(metrics["residual_vibration_amplitude"])
-        if wait := self.goals.wishes.settled_within:
-            rest = points[-1]
-            residual = float(np.hypot(*(points[recording.time >= end + wait] - rest).T).max())
-        # over the pause of a cycle instead of the dwell, at the end of which the robot rests
-        rms, dwell = np.array([float(metrics[f"rms_torque_{joint}"]) for joint in (1, 2)]), recording.time[-1] - end
-        pause, holding = (
-            (dwell if self.goals.pause is None else self.goals.pause),
-            np.array([each[-1] for each in torques]),
-        )
-        rms = np.sqrt((rms**2 * (end + dwell) + holding**2 * (pause - dwell)) / (end + pause))
+        if self.goals.wishes.settled_within:
+            residual = float(np.hypot(*(points[vibrating] - points[-1]).T).max())
+        # mean squares over the pause of a cycle instead of the dwell, at the end of which the robot rests
+        dwell, holding = time[-1] - end, np.array([each[-1] for each in torques])
+        pause = dwell if self.goals.pause is None else self.goals.pause
+        late = time >= end + pause
+        more = holding**2 * (pause - dwell)
+        if late.sum() > 1:
+            swings = [np.trapezoid(each[late] ** 2 - each[-1] ** 2, time[late]) for each in torques]
+            more -= swings
+
+        def rms(mean: RealArray, unit: RealArray | float) -> RealArray:
+            return np.asarray(np.sqrt((mean**2 * (end + dwell) + more / np.square(unit)) / (end + pause)))
+
         motor = np.zeros((3, 2))
-        for k, load in enumerate(motor_loads(run)):
-            use = {margin.name: margin.use for margin in load.margins}
-            at_rest = holding[k] / load.motor.gear_ratio / load.motor.continuous_torque
-            square = (use["RMS torque"] ** 2 * (end + dwell) + at_rest**2 * (pause - dwell)) / (end + pause)
-            motor[:, k] = max(use["peak torque"], use.get("torque at speed", 0.0)), math.sqrt(square), use["speed"]
-        motor[1] *= np.sqrt(self._heating(end + pause))
-        motor_torque, motor_rms, motor_speed = ((float(one), float(other)) for one, other in motor)
+        if loads := motor_loads(run):
+            use = [{margin.name: margin.use for margin in load.margins} for load in loads]
+            motor[0] = [max(each["peak torque"], each.get("torque at speed", 0.0)) for each in use]
+            unit = np.array([load.motor.gear_ratio * load.motor.continuous_torque for load in loads])
+            motor[1] = rms(np.array([each["RMS torque"] for each in use]), unit)
+            motor[1] *= np.sqrt(self._heating("motor_rms_torque", end + pause))
+            motor[2] = [each["speed"] for each in use]
+        values: dict[str, Any] = {
+            "torque": of_joints("peak_torque"),
+            "rms_torque": rms(of_joints("rms_torque"), 1.0),
+            "power": np.maximum(of_joints("peak_power"), of_joints("peak_regenerated_power")),
+            "residual": [residual],
+            "energy": [of_joints("positive_energy").sum()],
+            **_both_powers(recording, run.plan.joints),
+            **dict(zip(("motor_torque", "motor_rms_torque", "motor_speed"), motor, strict=True)),
+            "off_path": [off.max()],
+            "clearance": [clear.min()],
+        }
         # forces in elbows and between the legs and the end effector; no stress in rigid links
-        reaction = stress = math.nan
         if "reaction" in self.goals.limits:
             names = [f"{place}{leg}.reaction" for place in ("elbow", "leg") for leg in (1, 2)]
             forces = [np.hypot(*(recording[f"{name}.{axis}"].values for axis in "xy")) for name in names]
-            reaction = max(float(force.max()) for force in forces)
+            values["reaction"] = [np.max(forces)]
         if "stress" in self.goals.limits:
             combined = [each.combined.value for each in link_stresses(run) if each.combined is not None]
-            stress = max(combined, default=0.0)
-        return Peaks(
-            variation,
-            (float(metrics["peak_torque_1"]), float(metrics["peak_torque_2"])),
-            tuple(float(recording.time[np.abs(each).argmax()]) for each in torques),  # type: ignore[arg-type]
-            (float(rms[0]), float(rms[1])),
-            (power(1), power(2)),
-            residual,
-            float(metrics["positive_energy_1"]) + float(metrics["positive_energy_2"]),
-            *_both_powers(recording, run.plan.joints),
-            motor_torque,
-            motor_rms,
-            motor_speed,
-            (float(off.max()), float(recording.time[off.argmax()])),
-            (float(clear.min()), float(recording.time[clear.argmin()])),
-            reaction,
-            stress,
-        )
+            values["stress"] = [max(combined, default=0.0)]
+        instants = {
+            "torque": [time[np.abs(each).argmax()] for each in torques],
+            "off_path": [time[off.argmax()]],
+            "clearance": [time[clear.argmin()]],
+        }
+        tables = ({name: tuple(map(float, each)) for name, each in table.items()} for table in (values, instants))
+        return Peaks(variation, *tables)
 
-    def _heating(self, period: float) -> RealArray:
+    def _heating(self, figure: str, period: float) -> RealArray:
         """What a mean square over a period [s] counts for the temperature of both motors (2,), see `Motor.heating`."""
-        drives = self.goals.drives
-        return np.ones(2) if drives is None else period * np.array([each.heating(period)[0] for each in drives.motors])
+        return period * optimal_control.weight_of_squares(figure, period, self.goals.drives)[0]
 
     def _off_path(self, points: RealArray) -> RealArray:
         """Distances (N,) [m] of points from the given path."""
@@ -509,17 +441,17 @@ class Judge:
     def _uses(self, found: Assessment, given: Assessment) -> Iterator[Limit]:
         """How close the motion comes to each limit, and where."""
         wishes = self.goals.wishes
-        worst = max(found.peaks, key=lambda each: each.residual)
-        yield Limit("residual", wishes.residual, "m", rounding=MET).used(worst.residual, str(worst.variation))
-        nearest = min(found.peaks, key=lambda each: each.clearance[0])
-        distance, instant = nearest.clearance
-        if math.isfinite(distance):
+        most, where = max((need, where) for need, _, where in needs("residual", found, given))
+        yield Limit("residual", wishes.residual, "m", rounding=MET).used(most, where)
+        least, where = min((need, where) for need, _, where in needs("clearance", found, given))
+        if math.isfinite(least):
             # as a depth: 0 on the outline
-            where = f"{instant:.4g} s, {nearest.variation}"
-            yield Limit("clearance", wishes.margin, "m", rounding=MET).used(max(-distance, 0.0), where)
+            yield Limit("clearance", wishes.margin, "m", rounding=MET).used(max(-least, 0.0), where)
         for limit in self.goals.limits.values():
             rows = needs(limit.figure, found, given)
-            value, where = max((need / usual if limit.is_relative else need, where) for need, usual, where in rows)
+            value, where = max(
+                (_ratio(need, usual) if limit.is_relative else need, where) for need, usual, where in rows
+            )
             yield limit.used(value, where)
         if wishes.duration is not None:
             yield Limit("time", wishes.duration, "s", rounding=MET).used(found.time, "whole motion")
@@ -570,7 +502,7 @@ def _left_vibration(
     )
 
 
-def _both_powers(recording: Recording, joints: Trajectory) -> tuple[float, float, float]:
+def _both_powers(recording: Recording, joints: Trajectory) -> dict[str, list[float]]:
     """Largest power of both motors together into the robot, and out of it [W], and the energy that flows out [J]."""
     powers = []
     for joint in range(2):
@@ -578,10 +510,14 @@ def _both_powers(recording: Recording, joints: Trajectory) -> tuple[float, float
         assert speed is not None  # it is planned
         powers.append(product(segments(recording, TORQUES[joint : joint + 1]), speed))
     one, other = powers
-    into, out, _, back, *_ = Analysis(
-        HermiteSegments(one.start, one.end, one.left + other.left, one.right + other.right)
-    ).parts()
-    return into, out, back
+    both = HermiteSegments(one.start, one.end, one.left + other.left, one.right + other.right)
+    into, out, _, back, *_ = Analysis(both).parts()
+    return {"supply_power": [into], "regenerated_power": [out], "regenerated_energy": [back]}
+
+
+def _ratio(need: float, usual: float) -> float:
+    """A need relative to the given motion's; nothing of nothing is nothing."""
+    return need / usual if usual else math.inf if need else 0.0
 
 
 def needs(figure: str, found: Assessment, given: Assessment) -> Iterator[tuple[float, float, str]]:
@@ -591,12 +527,7 @@ def needs(figure: str, found: Assessment, given: Assessment) -> Iterator[tuple[f
         yield found.references[k], given.references[k], "references"
         return
     for each, own in zip(found.peaks, given.peaks, strict=True):
-        need, usual = getattr(each, figure), getattr(own, figure)
-        if figure == "off_path":
-            yield need[0], usual[0], f"{need[1]:.4g} s, {each.variation}"
-        elif isinstance(need, tuple):
-            for k in range(2):
-                when = f", {each.torque_time[k]:.4g} s" if figure == "torque" else ""
-                yield need[k], usual[k], f"joint {k + 1}, {each.variation}{when}"
-        else:
-            yield need, usual, str(each.variation)
+        values, times = each.values[figure], each.times.get(figure)
+        for k, (need, usual) in enumerate(zip(values, own.values[figure], strict=True)):
+            joint, time = [f"joint {k + 1}"] * (len(values) > 1), [] if times is None else [f"{times[k]:.4g} s"]
+            yield need, usual, ", ".join([*joint, str(each.variation), *time])

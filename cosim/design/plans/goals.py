@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise, product
@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import label
 
+from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.clearance import Clearance, Polygon, clearance_of_trace
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.cycles import Reversed
 from flexfmu.cosim.experiment.planning import MotionPlan, plan, plan_own
+from flexfmu.model.reference_design.elastic_response import VariantModel
 from flexfmu.model.reference_design.optimal_control import Drives
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.scene.plan import PlanSection, Ratio, TargetSection
@@ -132,6 +134,7 @@ class Goals:
         own: the given motion of the joints where it isn't the scene's.
         pause: time at rest after the motion that RMS torques contain [s]; None for the scene's dwell.
         loop: the scene with the controllers that will follow the planned motion; None for motors that follow exactly.
+        before: joint references of an earlier plan, of each way, from which optimal control goes on first.
         ways: the goals of each way of a cycle; empty for a single motion. The goals of a cycle have the scene of its first way.
         judged: what judges of these goals have found, so that none runs a motion again: by number of robots and motion.
     """
@@ -144,6 +147,7 @@ class Goals:
     own: Trajectory | None = None
     pause: float | None = None
     loop: Scene | None = None
+    before: tuple[Trajectory, ...] = ()
     ways: tuple[Goals, ...] = ()
     judged: dict[tuple[int, Any], Any] = field(default_factory=dict, init=False, compare=False, repr=False)
 
@@ -397,7 +401,7 @@ def _check_way(goals: Goals) -> None:
         )
 
 
-def check_holding_torque(goals: Goals, given: Mapping[Variation, tuple[float, float]] | None = None) -> None:
+def check_holding_torque(goals: Goals, given: Mapping[Variation, Sequence[float]] | None = None) -> None:
     """The motors must be able to hold all robots of the bands at the places.
 
     Args:
@@ -410,12 +414,12 @@ def check_holding_torque(goals: Goals, given: Mapping[Variation, tuple[float, fl
     limit, drives = goals.limits.get("torque"), goals.drives
     if limit is not None and limit.is_relative and given is None:
         limit = None
-    robots = goals.variations(2) if given is None else given
+    robots = [*(goals.variations(2) if given is None else given)]
+    model = VariantModel(goals.scene, [each.changes(goals.scene) for each in robots], CompiledAtPoints)
     motion = goals.given.once
     for name, instant in (("start", 0.0), ("end", motion.duration)):
         joints = motion.joints.evaluate([instant], 0, "left")[0, 0]
-        for robot in robots:
-            torques = np.abs(static_equilibrium(robot.of(goals.scene), joints).torque)
+        for robot, torques in zip(robots, np.abs(model.rest(joints).torque), strict=True):
             for joint, torque in enumerate(torques.tolist()):
                 if drives is not None and "motor_rms_torque" in goals.limits:
                     motor = drives.motors[joint]

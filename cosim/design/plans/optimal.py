@@ -28,13 +28,14 @@ from flexfmu.cosim.many.journal import WorkJournal
 from flexfmu.model.reference_design import optimal_control
 from flexfmu.model.reference_design.elastic_response import LINK_LOADS, ElasticResponse, RobotVariant
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
-from flexfmu.model.reference_design.joint_spline import DesignedMotion, JointSpline, fitted
+from flexfmu.model.reference_design.joint_spline import REST, DesignedMotion, JointSpline, fitted
 from flexfmu.model.reference_design.robust_correction import Tolerances, corrected
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.motion import TableSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.trajectory import Trajectory
 
 INTERVALS = 48
 """Intervals between the knots of the splines: 40 give motions that are 0.7 % slower, 30 such that are 2 % slower."""
@@ -111,18 +112,22 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
         aim = "robust" if goals.wishes.minimise == "time" else goals.wishes.minimise
         return _candidate(goals, f"optimal control, {aim}, {time:.4g} s", splines)
 
-    for share in _shares(goals, found[0]):
+    tried = False
+    if goals.before:
+        # near the best motions, if places and payloads have moved little
+        ways = [replace(way, start=_moved(each, way.start)) for way, each in zip(tight_ways, goals.before, strict=True)]
+        tried = yield from refined(judge, attempt, made, ways, loads, 0.0, ("optimal", "before"), gives_back=False)
+    for share in () if tried else _shares(goals, found[0]):
         ways = _from_share(tight_ways, share)
         tried = yield from refined(judge, attempt, made, ways, loads, optimal_control.LOOSE, ("optimal", share), few)
         if tried:
             break
-    else:
-        # from the best motion of other methods, if there is one
-        others = [each for each in found if each.feasible and each.candidate.method != "given"]
-        if others and not goals.ways:
-            best = min(others, key=lambda each: float(getattr(each, goals.wishes.minimise)))
-            way = replace(tight_ways[0], start=fitted(best.candidate.joints, INTERVALS, side="left"))
-            yield from refined(judge, attempt, made, [way], loads, 0.0, ("optimal", "other"))
+    # from the best motion of other methods, if there is one
+    others = [each for each in found if each.feasible and each.candidate.method != "given"]
+    if others and not tried and not goals.ways:
+        best = min(others, key=lambda each: float(getattr(each, goals.wishes.minimise)))
+        way = replace(tight_ways[0], start=fitted(best.candidate.joints, INTERVALS, side="left"))
+        yield from refined(judge, attempt, made, [way], loads, 0.0, ("optimal", "other"))
     if goals.wishes.front:
         yield from _front(goals, found[0], motions, attempt, judge)
 
@@ -136,6 +141,8 @@ def refined(
     loose: float,
     key: tuple[Any, ...],
     few: NDArray[np.intp] | None = None,
+    *,
+    gives_back: bool = True,
 ) -> Generator[Candidate | str, None, bool]:
     """Motions from one start on, each with limits corrected by what the FMU finds; whether there are any.
 
@@ -149,8 +156,9 @@ def refined(
         loose: first bound of the residual vibration [m].
         key: begins the keys of the journal.
         few: cases of the first motions; None for all.
+        gives_back: whether what a motion leaves of the limits is given back.
     """
-    is_first, is_free = True, judge.goals.wishes.duration is None
+    is_first, is_free = gives_back, judge.goals.wishes.duration is None
     for number in range(TRIES):
         if few is None or number:
             tried = attempt((*key, number), ways, loads, loose)
@@ -251,6 +259,23 @@ def _shares(goals: Goals, given: Assessment) -> tuple[float, ...]:
         return STARTS
     pauses = sum(each.pause or 0.0 for each in goals.ways)
     return ((goals.wishes.duration - pauses) / (given.time - pauses),)
+
+
+def _moved(before: Trajectory, given: DesignedMotion) -> JointSpline:
+    """An earlier motion from start to end of the given one, by a smooth shift; equal coefficients at the ends stay equal."""
+    spline, (first, last) = fitted(before, INTERVALS, side="left"), given.evaluate([0.0, 1.0], 0)[0]
+    along = np.clip((np.arange(len(spline.coefficients)) - REST) / (len(spline.coefficients) - 2 * REST - 1), 0.0, 1.0)
+    step = (along**3 * (10.0 - 15.0 * along + 6.0 * along**2))[:, np.newaxis]
+    # angles of another turn are the same
+    away = [
+        (shift + np.pi) % (2.0 * np.pi) - np.pi
+        for shift in (first - spline.coefficients[0], last - spline.coefficients[-1])
+    ]
+    shift = (1.0 - step) * away[0] + step * away[1]
+    coefficients = spline.coefficients + shift
+    return replace(
+        spline, coefficients=coefficients + np.round((first - coefficients[0]) / (2.0 * np.pi)) * 2.0 * np.pi
+    )
 
 
 def _from_share(ways: Sequence[optimal_control.Way], share: float) -> list[optimal_control.Way]:
@@ -395,7 +420,7 @@ def limited(
     drives, each_goals = goals.drives, goals.ways or (goals,)
     if drives is not None and "motor_speed" in goals.limits:
         largest = np.array([each.maximum_speed / each.gear_ratio for each in drives.motors])
-        usual_speed = np.array([motor for each in given.peaks for motor in each.motor_speed]).reshape(-1, 2).max(axis=0)
+        usual_speed = np.max([each.values["motor_speed"] for each in given.peaks], axis=0)
         speed = np.minimum(speed, largest * goals.limit("motor_speed", usual_speed))
     pauses = [each.scene.trajectory.dwell if each.pause is None else each.pause for each in each_goals]
     names = ["torque", *(name for name in LOADS if name in goals.limits)]
@@ -502,7 +527,7 @@ def _references(goals: Goals, scene: Scene) -> tuple[Any, ...]:
     """References for the scene of the path alone, as a journal has them."""
     # the given motion's torques for each payload of the correction
     given, variations = Judge(goals, CORRECTED_FOR).given, goals.variations(CORRECTED_FOR)
-    usual = {each.variation: each.torque for each in given.peaks}
+    usual = {each.variation: each.values["torque"] for each in given.peaks}
     nominal = min(usual, key=lambda each: abs(each.payload - goals.scene.payload.mass))
     torques = np.array([usual.get(each, usual[nominal]) for each in variations])
     motion = plan_rigid(scene.replace({"trajectory.duration": goals.given.once.duration - 2.0 * LEAD}))

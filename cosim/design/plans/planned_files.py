@@ -19,6 +19,7 @@ from flexfmu.cosim.design.plans.clearance import Clearance
 from flexfmu.cosim.design.plans.goals import Goals
 from flexfmu.cosim.design.plans.planner import DRAWN, FRONT, MORE, PlanResult
 from flexfmu.cosim.design.scene_files import toml_item
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import OutputFolder, write_whole
 from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.experiment.scene_run import Run
@@ -27,6 +28,7 @@ from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, Curve, Marker, Panel
 from flexfmu.cosim.reports.comparison import ComparedRun, first_tiles, metrics_table, signal_plots
 from flexfmu.cosim.reports.page import WIDTH, Page, Plot, Table
 from flexfmu.cosim.reports.report import of_scene
+from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import Coordinates
@@ -51,6 +53,21 @@ BORDER, LONG = 0.06, 2.0
 
 BESIDE, BESIDES = 55.0, 70.0
 """Space beside, and above and below, the panel of a plot to scale, about [pt]."""
+
+
+def planned_scenes(folder: Path) -> list[Scene]:
+    """The planned scenes of an earlier plan's folder, one for each way.
+
+    Raises:
+        InputError: there are none.
+        SceneError: a scene can't be read.
+    """
+    paths = [folder / FILE] if (folder / FILE).exists() else []
+    if not paths:
+        paths = sorted(folder.glob("planned-*.toml"), key=lambda path: int(path.stem.rpartition("-")[2]))
+    if not paths:
+        raise InputError(f"{folder} has no {FILE} of an earlier plan: name the folder that `flexfmu plan` wrote to")
+    return [load_scene(path) for path in paths]
 
 
 def write_scene(result: PlanResult, path: Path) -> list[Path]:

@@ -22,8 +22,9 @@ from flexfmu.cosim.design.plans.search import search
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.showing import Rows, ShowProgress, quiet, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
+from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.timing import processor_time
-from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
+from flexfmu.cosim.many.journal import NOWHERE, WorkJournal, about_scene
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
@@ -235,6 +236,7 @@ def plan_scene(
     *,
     methods: Collection[str] = METHODS,
     candidates: Sequence[Candidate] = (),
+    before: Sequence[Scene] = (),
     processes: int = 1,
     budget: float | None = None,
     robust: bool = True,
@@ -247,6 +249,7 @@ def plan_scene(
         scene: the scene.
         methods: which of `METHODS`.
         candidates: further motions that are assessed beside those found.
+        before: the planned scenes of an earlier plan, one for each way: optimal control goes on from them, and alone unless ``methods`` has more.
         processes: number of processes of the search.
         budget: time [s] after which nothing new is started; None for no limit.
         robust: whether the chosen motion is judged in richer models too, see `flexfmu.cosim.design.plans.robustness`.
@@ -264,6 +267,16 @@ def plan_scene(
         raise InputError(f"unknown method {', '.join(unknown)}; choose from {', '.join(METHODS)}")
     work, clock = processor_time(), monotonic()
     goals = checked_goals(scene)
+    if before:
+        if len(before) != len(goals.ways or (goals,)):
+            raise InputError(
+                f"the earlier plan has {len(before)} motions, and this one {len(goals.ways or (goals,))}: warm starts are from as many ways"
+            )
+        if "optimal" not in methods:
+            raise InputError(
+                "optimal control goes on from an earlier plan: choose the method optimal too, or start anew"
+            )
+        goals = replace(goals, before=tuple(plan(each).once.joints for each in before))
     if goals.ways:
         if candidates:
             raise InputError(
@@ -283,7 +296,7 @@ def plan_scene(
     PreparedScene(scene).check_size(companion=False)
     judge, is_new = Judge(goals, JUDGED, journal), not journal.done
     try:
-        check_holding_torque(goals, {each.variation: each.torque for each in judge.given.peaks})
+        check_holding_torque(goals, {each.variation: each.values["torque"] for each in judge.given.peaks})
     except InputError:
         # another plan may begin in its folder
         if is_new:
@@ -335,6 +348,11 @@ def plan_scene(
         interrupted = True
     work = processor_time() - work
     return PlanResult(goals, judge.given, chosen, tuple(found[1:]), tuple(failures), interrupted, work, tuple(lines))
+
+
+def about_plan(scene: Scene, before: Sequence[Scene]) -> dict[str, Any]:
+    """What determines the results of a plan, for its journal: the scene, and the earlier plan that it goes on from."""
+    return about_scene(scene) | ({"before": [about_scene(each) for each in before]} if before else {})
 
 
 def _note_failure(failures: list[str], what: str, error: Exception) -> None:

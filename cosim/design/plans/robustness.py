@@ -160,7 +160,7 @@ def _assessed(
     judge = Judge(goals_of(Variation(scene.payload.mass, stiffness, damping).of(scene)), PAYLOADS)
     robot = {key: getattr(judge.goals.scene, key) for key in ("mechanism", "effects", "payload")}
     found = judge.assess(replace(fixed, scene=fixed.scene.model_copy(update=robot)))
-    worst, ratio = max(found.peaks, key=lambda each: each.residual), found.torque_ratio
+    worst, ratio = max(found.peaks, key=lambda each: each.values["residual"]), found.torque_ratio
     return RobustnessLine(
         name, found.residual, str(worst.variation), None if np.isnan(ratio) else ratio, found.off_path, found.uses
     )

@@ -99,8 +99,10 @@ def test_an_assessment_has_the_metrics_of_the_run(result: PlanResult) -> None:
         changes = {"payload.mass": peaks.variation.payload}
         precise = {"communication_step": 2e-4, "tolerance": 1e-8}
         run = flexfmu.run(GOALS.scene, trajectory=each.candidate.trajectory, parameters=changes, **precise)
-        assert peaks.residual == pytest.approx(float(run.metrics["residual_vibration_amplitude"]), abs=1e-12)
-        assert peaks.torque == pytest.approx(
+        assert peaks.values["residual"][0] == pytest.approx(
+            float(run.metrics["residual_vibration_amplitude"]), abs=1e-12
+        )
+        assert peaks.values["torque"] == pytest.approx(
             [float(run.metrics[f"peak_torque_{joint}"]) for joint in (1, 2)], rel=1e-12
         )
 
@@ -132,8 +134,8 @@ def test_files_say_the_same_and_the_planned_scene_runs_to_the_stated_figures(
     run = flexfmu.run(scene, communication_step=2e-4, tolerance=1e-8)
     nominal = next(each for each in result.chosen.peaks if math.isclose(each.variation.payload, 6.0))
     assert run.plan.duration == pytest.approx(result.chosen.time, abs=1e-15)
-    assert float(run.metrics["residual_vibration_amplitude"]) == pytest.approx(nominal.residual, abs=1e-11)
-    assert float(run.metrics["peak_torque_1"]) == pytest.approx(nominal.torque[0], rel=1e-9)
+    assert float(run.metrics["residual_vibration_amplitude"]) == pytest.approx(nominal.values["residual"][0], abs=1e-11)
+    assert float(run.metrics["peak_torque_1"]) == pytest.approx(nominal.values["torque"][0], rel=1e-9)
 
 
 def test_a_shaped_motion_is_written_as_keys_of_the_scene(tmp_path: Path) -> None:
@@ -254,14 +256,14 @@ def test_an_empty_gripper_is_planned(band: float | list[float], heaviest: float)
     assert max(each.variation.payload for each in found.chosen.peaks) == heaviest
     assert found.scene.payload.mass == 0.0
     run = flexfmu.run(scene, communication_step=2e-4, tolerance=1e-8)
-    assert float(run.metrics["peak_torque_1"]) == pytest.approx(found.given.peaks[0].torque[0], rel=1e-6)
+    assert float(run.metrics["peak_torque_1"]) == pytest.approx(found.given.peaks[0].values["torque"][0], rel=1e-6)
 
 
 @cache
 def _at_rest() -> tuple[dict[Variation, Any], float]:
     """Torques of the given motion, and the largest ratio of one at rest, before the motion or long after it, to them, by the FMU."""
     shares = list[float]()
-    given = {each.variation: each.torque for each in Judge(GOALS, 2).given.peaks}
+    given = {each.variation: each.values["torque"] for each in Judge(GOALS, 2).given.peaks}
     scene = SCENE.replace({"trajectory.dwell": 1.5, "effects.damping": {"kind": "modal", "ratio": 0.3}})
     for variation, torques in given.items():
         recording = flexfmu.run(scene.replace({"payload.mass": variation.payload}), tolerance=1e-8).recording
