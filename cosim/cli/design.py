@@ -708,9 +708,11 @@ def plan(
         files = write_plan(result, folder) + (write_scene(result, output) if output is not None else [])
         if live:
             from flexfmu.cosim.exchange.live import live_page
+            from flexfmu.cosim.many.prepared_scene import run_scene
+            from flexfmu.model.scene.file import load_scene
 
             show("compiling the planned motion for its page", None)
-            write_whole(folder / "live.html", live_page(result.chosen.candidate.prepared().run()))
+            write_whole(folder / "live.html", live_page(run_scene(load_scene(files[0]))))
             files.append(folder / "live.html")
         table = None
         if export is not None:

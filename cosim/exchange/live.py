@@ -11,11 +11,11 @@ import base64
 import gzip
 import json
 import re
-import struct
+import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import copysign
+from math import isfinite, log, nan, sqrt
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.parameters import scene_values
+from flexfmu.cosim.experiment.planning import MotionPlan, plan_rigid
 from flexfmu.cosim.experiment.run_checks import (
     AT_REST,
     BEYOND,
@@ -43,6 +44,7 @@ from flexfmu.cosim.experiment.run_checks import (
     usual_speed,
 )
 from flexfmu.cosim.experiment.run_options import SceneOptions
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import PreparedScene, run_scene
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
@@ -62,8 +64,10 @@ from flexfmu.fmu_build.trajectory_table import TrajectoryTable, tabulate
 from flexfmu.fmu_build.wasm_module import model_facts
 from flexfmu.model.beams import Shape, scene_shapes
 from flexfmu.model.scene.assembly import bases
-from flexfmu.model.scene.errors import EquilibriumError, SceneError
+from flexfmu.model.scene.errors import EquilibriumError, SceneError, SceneWarning
+from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import full_key
+from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.errors import TrajectoryError
@@ -118,6 +122,12 @@ EXPORTED = (
 GUID = "{live}"
 """Of the FMU in the module."""
 
+SPREAD = 3.0
+"""Largest factor of a slider's value, either way."""
+
+EXACT = 1e-9
+"""Largest deviation of a parameter's power from an integer that is rounding."""
+
 SWEPT_PLOTS = ("scene", "torques", "tracking", "deflections", "position", "dwell")
 """Plots of a swept scene, that of the robot first."""
 
@@ -169,14 +179,14 @@ def _alternatives(run: Run) -> Iterator[tuple[str, LiveRun]]:
 
 
 def simulating(
-    runs: Sequence[tuple[str, LiveRun]], places: Sequence[int] = (), swept: Mapping[str, Sequence[float]] | None = None
+    runs: Sequence[tuple[str, LiveRun]], places: Sequence[int] = (), swept: Mapping[str, Sequence[Any]] | None = None
 ) -> Live:
     """What a page simulates.
 
     Args:
         runs: option of the page's user and run: those of the same place are alternatives to each other.
         places: of the runs among those that the page shows; empty for one run and its alternatives.
-        swept: key → smallest and largest value of its slider; None for the usual sliders.
+        swept: key → the same as the sweep has it, smallest and largest value of its slider; None for the usual sliders.
     """
     known, content = dict[bytes, int](), bytearray()
 
@@ -221,9 +231,14 @@ def swept_page(page: Page, scene: Scene, swept: Mapping[str, tuple[float, float]
     run = run_scene(scene)
     found = live_run(run, is_exact=False)
     data = scene.model_dump(mode="json", exclude_none=True)
-    keys = {full_key(data, each["key"]): each["key"] for each in found.facts.get("sliders", ()) if each["key"]}
+    # a case of the sweep is designed anew
+    keys = {
+        full_key(data, each["key"]): each["key"] for each in found.facts.get("sliders", ()) if not each.get("frozen")
+    }
     sliding = {key: keys[full] for key in swept if swept[key] is not None and (full := full_key(data, key)) in keys}
-    known = {name: span for key, name in sliding.items() if (span := swept[key]) is not None and span[0] < span[1]}
+    known = {
+        name: [key, *span] for key, name in sliding.items() if (span := swept[key]) is not None and span[0] < span[1]
+    }
     fixed = [key for key in swept if key not in sliding]
     live = simulating([("", found)], swept=known)
     if found.facts and fixed:
@@ -419,7 +434,7 @@ def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, table: _Table
     return {
         "name": run.scene.name,
         "model": {"guid": GUID, "variables": model["variables"]},
-        "scene": run.scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True),
+        **_copied(run, prepared),
         "image": bytes(image.data),
         **{name: getattr(image, name) for name in ("addresses", "functions", "tables", "due", "advance", "exchange")},
         **{name: getattr(image, name) for name in ("script", "handle", "channels")},
@@ -435,7 +450,7 @@ def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, table: _Table
         "band": run.scene.cosimulation.settling_band,
         "divergence": _divergence(run),
         "breakpoints": [float(each) for each in parts.references.breakpoints],
-        "sliders": _sliders(run, image, model["variables"], starts),
+        **_sliders(run, prepared, model["variables"], starts, image.parameters),
         "robot": _robot(run.robot),
         "clocks": [
             [slave.sample_time, slave.offset]
@@ -456,45 +471,206 @@ def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, table: _Table
 
 
 def _sliders(
-    run: Run, image: ProgramImage, variables: Mapping[str, Any], starts: Mapping[str, float]
-) -> list[dict[str, Any]]:
-    """Parameters that a page may change: those of the robot but for its kinematics, which the motion is planned for, and of blocks."""
-    known, found = scene_values(run.scene), list[dict[str, Any]]()
-    data = run.scene.model_dump(mode="json", exclude_none=True)
+    run: Run,
+    prepared: PreparedScene,
+    variables: Mapping[str, Any],
+    starts: Mapping[str, float],
+    blocks: Mapping[str, int],
+) -> dict[str, Any]:
+    """Keys of the scene that a page may change: of the robot, but for lengths, which the motion is planned for, of the loop, the duration.
 
-    def add(name: str, value: float, targets: Sequence[str], key: str = "", unit: str = "", **more: Any) -> None:
-        entry = {"name": name, "label": name.replace("_", " ") if not unit else name, "unit": unit, "value": abs(value)}
-        place = re.findall(r"[^.\[\]]+", full_key(data, key)) if key else []
-        found.append(entry | {"sign": copysign(1.0, value), "targets": targets, "key": key, "place": place} | more)
+    A key of the loop is one that changes nothing but parameters of blocks, each by a power of the key's value; so is the duration if
+    nothing but references depends on it. Where more than the robot itself depends on its parameters, a shaper for example, the page keeps
+    that as it was designed (``frozen``), and a copied scene has the robot's real values beside the assumed ones.
+    """
+    scene, plan, known, found = run.scene, run.plan, scene_values(run.scene), list[dict[str, Any]]()
+    data = scene.model_dump(mode="json", exclude_none=True)
+    laws, values = _loop(scene, plan)
 
+    def add(
+        name: str, key: str, value: float, targets: Sequence[tuple[str, float, int]], unit: str, **more: Any
+    ) -> None:
+        low, high = _span(scene, key, value)
+        entry = {"name": name, "label": name, "key": key, "value": value, "low": low, "high": high, "unit": unit}
+        found.append(entry | {"targets": targets} | more)
+
+    # the robot
+    robot = {}
     for name, value in starts.items():
-        fixed = name.startswith("start.") or name.endswith((".length", "base_half_distance"))
-        variable = variables[name]
-        if fixed or variable["type"] != "Real" or variable["causality"] != "parameter" or not value:
-            continue
-        # an imperfect robot has another value than the scene
-        key = known[name].key if name in known and known[name].value == value else ""
-        axes = [starts.get(f"{name[:-1]}{axis}", 0.0) for axis in "xy"] if name.endswith((".x", ".y")) else []
-        vector = {"vector": axes, "axis": "xy".index(name[-1])} if axes else {}
-        add(name, value, [name], key, shown_unit(variable.get("unit", "")), **vector)
-    # a parameter that all joints have is one slider
-    groups: dict[str, list[str]] = {}
-    for name in image.parameters:
-        owner, _, rest = name.partition(".")
-        groups.setdefault(f"{owner}.{re.sub(r'^joint[12][.]', '', rest)}", []).append(name)
-    values = {name: struct.unpack_from("<d", image.data, place)[0] for name, place in image.parameters.items()}
-    sections = {each.name or each.kind: each for each in run.scene.controller if hasattr(each, "kind")}
-    for name, targets in groups.items():
-        owner, _, rest = name.partition(".")
-        if rest.endswith("initial") or len({values[each] for each in targets}) > 1 or not values[targets[0]]:
-            continue
-        gain = rest.removesuffix("_gain")
-        key = f"controller.{owner}.{gain}" if hasattr(sections.get(owner), gain) else ""
-        add(name, values[targets[0]], targets, key)
+        kinematic = name.startswith("start.") or name.endswith((".length", "base_half_distance"))
+        if name in known and not kinematic and value and variables[name]["causality"] == "parameter":
+            vector = name.endswith((".x", ".y")) and f"{name[:-1]}y" in known
+            robot[name] = known[name].key + (f"[{'xy'.index(name[-1])}]" if vector else "")
+    designed = bool(scene.shaper or plan.design or run.parameters or prepared.parts.unfed)
+    if not designed and (scene.controller or scene.imperfection):
+        try:
+            other = scene.replace({robot[name]: 1.01 * known[name].value for name in robot})
+            designed = _loop(other, plan) != (laws, values)
+        except (SceneError, CosimError):
+            designed = True
+    for name, key in robot.items():
+        value, assumed = starts[name], known[name].value
+        label = name if value == assumed else f"{name} (the scene has {assumed:g})"
+        unit = shown_unit(variables[name].get("unit", ""))
+        add(name, key, value, [(name, value, 1)], unit, label=label, frozen=designed)
+    # the loop
+    units = {
+        f"{each.name}.{p.name}": shown_unit(p.unit)
+        for each in prepared.parts.others
+        if isinstance(each, BlockSlave)
+        for p in each.block.parameters
+    }
+    for name, key, value in _numbers(data):
+        powers = _powers(scene, plan, key, value, laws, values)
+        if powers and powers.keys() <= blocks.keys():
+            common = {units[target] if power == 1 else "" for target, power in powers.items()}
+            add(
+                name,
+                key,
+                value,
+                [(each, values[each], power) for each, power in powers.items()],
+                common.pop() if len(common) == 1 else "",
+            )
+    # the duration
+    if not (fixed := _fixed(run)):
+        longer = scene.replace({"trajectory.duration": 1.1 * plan.duration})
+        if _loop(longer, plan_rigid(longer)) == (laws, values):
+            add("duration", "trajectory.duration", plan.duration, [], "s", label="duration of the motion")
+        else:
+            fixed = "the loop is designed for it"
+    return {"sliders": found, "fixed": fixed}
+
+
+def _fixed(run: Run) -> str:
+    """Why the duration of the motion can't change in a page; empty if nothing is known."""
     plan = run.plan
-    if plan.repetition is None and plan.design is None and not plan.source and not run.scene.shaper:
-        add("duration", plan.duration, [], "trajectory.duration", "s", label="duration of the motion")
-    return found
+    reasons = {
+        "an input shaper acts on the motion": run.scene.shaper,
+        "the motion is that of an object": plan.source and isinstance(run.scene.trajectory, TrajectorySection),
+        "the motion repeats": plan.repetition,
+        "its references are those of the flexible robot": plan.design,
+    }
+    return next((reason for reason, holds in reasons.items() if holds), "")
+
+
+def _loop(scene: Scene, plan: MotionPlan) -> tuple[list[Any], dict[str, float]]:
+    """The loop that a scene has around its robot: laws of all slaves, and parameters of blocks by ``slave.name``."""
+    loop, laws, values = loop_of(scene, replace(plan, scene=scene)), list[Any](), dict[str, float]()
+    for each in (*loop.controllers, *(inline.slave for inline in loop.inline_blocks), *loop.disturbances):
+        if isinstance(each, BlockSlave):
+            law = sample_function(each.block).serialize()
+            laws.append((each.name, each.sample_time, each.offset, each.block.states, law))
+            values |= {f"{each.name}.{p.name}": p.start or 0.0 for p in each.block.parameters}
+    return laws, values
+
+
+def _numbers(data: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
+    """Short name, key and value of the numbers in sections of the loop; one of both joints if they are equal."""
+    for array in ("controller", "imperfection", "filter", "disturbance"):
+        for place, section in enumerate(data.get(array, ())):
+            for name, value in section.items():
+                key, short = f"{array}[{place}].{name}", f"{section.get('name') or section['kind']}.{name}"
+                each = value if isinstance(value, list) else [value]
+                if not all(isinstance(one, float) and one for one in each):
+                    continue
+                if len({*each}) == 1:
+                    yield short, key, each[0]
+                else:
+                    yield from ((f"{short}[{i}]", f"{key}[{i}]", one) for i, one in enumerate(each))
+
+
+def _powers(
+    scene: Scene, plan: MotionPlan, key: str, value: float, laws: Sequence[Any], values: Mapping[str, float]
+) -> dict[str, int]:
+    """Parameter of a block → the power of a key's value that it is proportional to; empty if the key changes anything else."""
+    found: list[dict[str, float]] = []
+    for factor in (1.1, 1.21):
+        try:
+            others, changed = _loop(scene.replace({key: factor * value}), plan)
+        except (SceneError, CosimError):
+            return {}
+        if others != laws:
+            return {}
+        moved = {name: each / values[name] for name, each in changed.items() if each != values[name] and values[name]}
+        found.append({name: log(ratio) / log(factor) if ratio > 0.0 else nan for name, ratio in moved.items()})
+    powers = {name: round(power) if isfinite(power) else 0 for name, power in found[0].items()}
+    exact = all(abs(each.get(name, nan) - power) < EXACT for each in found for name, power in powers.items())
+    return powers if exact else {}
+
+
+def _span(scene: Scene, key: str, value: float) -> tuple[float, float]:
+    """Smallest and largest value of a slider: a third and three times the value, or half as far as the scene's checks allow.
+
+    Half, by ratio, since two keys that limit each other, as outer and inner diameter do, may both go to their ends.
+    """
+
+    def is_valid(factor: float) -> bool:
+        try:
+            scene.replace({key: factor * value})
+        except SceneError:
+            return False
+        return True
+
+    ends = []
+    for end in (1.0 / SPREAD, SPREAD):
+        good = bad = end
+        if not is_valid(end):
+            good = 1.0
+            for _ in range(8):
+                middle = sqrt(good * bad)
+                good, bad = (middle, bad) if is_valid(middle) else (good, middle)
+            good = sqrt(good)
+        ends.append(good * value)
+    return ends[0], ends[1]
+
+
+def _copied(run: Run, prepared: PreparedScene) -> dict[str, Any]:
+    """What is needed to copy the run: its scene, the file that this comes from, and what was changed since; no file if that can't be said."""
+    scene, section, known = run.scene, run.scene.cosimulation, scene_values(run.scene)
+    if scene.has_objects or (run.plan.source and isinstance(scene.trajectory, TrajectorySection)):
+        return {"scene": None, "origin": ""}
+    changes: dict[str, Any] = {}
+    if run.communication_step != section.communication_step:
+        changes["cosimulation.step"] = run.communication_step
+    if run.tolerance != section.tolerance:
+        changes["cosimulation.tolerance"] = run.tolerance
+    own = {name: value for name, value in run.parameters.items() if prepared.parts.changes.get(name) != value}
+    if own:
+        real = {
+            known[name].key + (f"[{'xy'.index(name[-1])}]" if name.endswith((".x", ".y")) else ""): value
+            for name, value in own.items()
+        }
+        kept = scene.model_dump(exclude_none=True)["imperfection"]
+        changes["imperfection"] = [*kept, {"kind": "parameter-error", "parameters": real}]
+    scene = scene.replace(changes) if changes else scene
+    short = scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    short["effects"].pop("choice", None)
+    return {"scene": short, **_origin(scene)}
+
+
+def _origin(scene: Scene) -> dict[str, Any]:
+    """The file or name of a scene, and the keys with other values than there."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SceneWarning)
+            given = load_scene(scene.origin) if scene.origin else None
+    except SceneError:
+        given = None
+    if given is None:
+        return {"origin": ""}
+    own, before = (each.model_dump(mode="json", exclude_none=True) for each in (scene, given))
+    short = scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    changed: dict[str, Any] = {}
+    for name, value in own.items():
+        known = before.get(name)
+        if isinstance(value, dict) and isinstance(known, dict) and known.keys() <= value.keys():
+            changed |= {
+                f"{name}.{key}": short[name].get(key, each) for key, each in value.items() if each != known.get(key)
+            }
+        elif value != known:
+            changed[name] = short.get(name, value)
+    # no --set takes a section away
+    return {"origin": "" if before.keys() - own.keys() else scene.origin, "settings": [*changed.items()]}
 
 
 def _divergence(run: Run) -> dict[str, float]:
@@ -602,7 +778,8 @@ def _evaluated(knots: RealArray, limits: RealArray, times: RealArray, side: Side
         total = np.zeros((times.size, variables))
         for k in range(2 * ENDS - 1, order - 1, -1):
             total = total * (h / (k - order + 1)) + polynomials[low, k]
-        found[:, order] = np.where((low == steps)[:, np.newaxis] & (order > 0), 0.0, total)
+        is_rest = (order > 0) | (np.arange(variables) >= variables // 3)
+        found[:, order] = np.where((low == steps)[:, np.newaxis] & is_rest, 0.0, total)
     return found
 
 

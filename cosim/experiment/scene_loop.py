@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 from flexfmu.cosim.engine.errors import InputError, WiringError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
 from flexfmu.cosim.engine.slave import Sampled, Slave, offset
-from flexfmu.cosim.experiment.parameters import holding_torques
+from flexfmu.cosim.experiment.parameters import holding_torques, scene_parameters, scene_values
 from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, plan, plan_own, shape_joints
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave, from_source
 from flexfmu.cosim.experiment.wiring import OPTIONAL, InlineBlock, inline_block, names_of
 from flexfmu.model.scene.controllers import FrictionCompensationSection, LearningSection
-from flexfmu.model.scene.imperfections import PayloadErrorSection
+from flexfmu.model.scene.imperfections import ParameterErrorSection, PayloadErrorSection
 from flexfmu.model.scene.loop import FmuSection, ObjectSection, PythonSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.trajectory import Trajectory
@@ -89,7 +89,8 @@ def loop_of(
     # torques are filtered before they meet imperfections, measurements and references after that
     before = [each for each in scene.filter if each.signal == "torque"]
     after = [each for each in scene.filter if each.signal != "torque"]
-    signals = [each for each in (*before, *scene.imperfection, *after) if not isinstance(each, PayloadErrorSection)]
+    of_robot = PayloadErrorSection | ParameterErrorSection
+    signals = [each for each in (*before, *scene.imperfection, *after) if not isinstance(each, of_robot)]
     inline_blocks = [inline_block(builder.imperfection(each, controllers)) for each in signals]
     disturbances = [builder.disturbance(each, shaped.motion.stop_time) for each in scene.disturbance]
     if disturbances:
@@ -101,7 +102,7 @@ def loop_of(
         controllers=_with_sum(controllers, builder.connect, names),
         inline_blocks=(*shaped.inline_blocks, *inline_blocks),
         connect=builder.connect,
-        parameters=_payload(scene),
+        parameters=_real_parameters(scene),
         disturbances=tuple(disturbances),
     )
 
@@ -211,18 +212,28 @@ def _with_sum(controllers: Sequence[Slave], connect: Mapping[str, str], names: S
     return (*controllers, BlockSlave(block))
 
 
-def _payload(scene: Scene) -> dict[str, float]:
-    """The parameter of the payload that the robot really carries, where a payload error says so.
+def _real_parameters(scene: Scene) -> dict[str, float]:
+    """The parameters of the robot that really are others than planning, controllers and shapers assume.
 
     Raises:
-        InputError: the scene has no payload of which there could be an error.
+        InputError: the scene has no payload of which there could be an error, or a key isn't one of the robot.
+        SceneError: a value is out of range.
     """
-    errors = [each.relative for each in scene.imperfection if isinstance(each, PayloadErrorSection)]
-    if not errors:
-        return {}
-    from flexfmu.cosim.control.sections import with_payload_error
+    real, known = scene, {each.key for each in scene_values(scene).values()}
+    for each in scene.imperfection:
+        if isinstance(each, PayloadErrorSection):
+            from flexfmu.cosim.control.sections import with_payload_error
 
-    return {"payload.mass": with_payload_error(scene, errors[-1]).payload.mass}
+            real = with_payload_error(real, each.relative)
+        elif isinstance(each, ParameterErrorSection):
+            if wrong := [key for key in each.parameters if key.partition("[")[0] not in known]:
+                raise InputError(
+                    f"`imperfection.parameters` has {wrong[0]}, which is no number of the robot: name keys such as payload.mass or "
+                    "mechanism.material.density"
+                )
+            real = real.replace(dict(each.parameters))
+    assumed = scene_parameters(scene)
+    return {name: value for name, value in scene_parameters(real).items() if value != assumed.get(name)}
 
 
 def _repeated(scene: Scene, with_cycles: bool, motion: MotionPlan) -> MotionPlan:

@@ -231,7 +231,9 @@ def signal_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
         caption = "Distance of the end effector from the rigid robot's at the same time."
         panel = Panel(label="error [mm]", curves=deviations, from_zero=True, marks=_marks(runs))
         yield Plot("compared-deviation", "Position error", caption, (panel,))
-    panels = [spectrum_panel(f"{label}\n[µm]", _spectra(runs, name)) for name, label in SPECTRA.items()]
+    dwells = [run.recording.time[-1] - run.duration for run in runs if run.duration is not None]
+    window = float(min(dwells, default=np.inf)) or np.inf
+    panels = [spectrum_panel(f"{label}\n[µm]", _spectra(runs, name), window=window) for name, label in SPECTRA.items()]
     panels = [panel for panel in panels if panel.curves]
     if panels:
         caption = spectrum_caption("Position of the end effector after the end of the motion")

@@ -20,6 +20,9 @@ PADDING = 4
 LEAST, MOST = 8, 1 << 16
 """Smallest number of samples that give a spectrum, and the largest number that is transformed."""
 
+PERIODS = 2.0
+"""Fewest periods within the window that make a peak a vibration; the window's own main lobe reaches as far."""
+
 SHOWN = 1e-3
 """Amplitudes relative to the largest, below which nothing is drawn."""
 
@@ -69,13 +72,16 @@ def spectrum_caption(what: str = "Amplitudes after the end of the motion") -> st
     return f"{what}, mean removed: Hann window, zeros appended to {PADDING} times the length."
 
 
-def spectrum_panel(label: str, curves: Sequence[Curve], marks: Sequence[tuple[float, str]] = ()) -> Panel:
-    """Return spectra with a logarithmic vertical axis, the highest peak of all with its frequency.
+def spectrum_panel(
+    label: str, curves: Sequence[Curve], marks: Sequence[tuple[float, str]] = (), window: float = np.inf
+) -> Panel:
+    """Return spectra with a logarithmic vertical axis, the highest peak of all with its frequency if that is resolved.
 
     Args:
         label: of the vertical axis.
         curves: spectra by `spectrum`.
         marks: known natural frequencies [Hz] and their names.
+        window: length of the signals [s]; what has less than `PERIODS` in it may be drift as well.
     """
     curves = [curve for curve in curves if np.max(curve.y, initial=0.0) > 0.0]
     if not curves:
@@ -87,5 +93,6 @@ def spectrum_panel(label: str, curves: Sequence[Curve], marks: Sequence[tuple[fl
     limits = 0.0, max(1.1 * last, 2.0 * frequency)
     curves = [replace(curve, x=curve.x[curve.x <= limits[1]], y=curve.y[curve.x <= limits[1]]) for curve in curves]
     text = Marker(frequency, height, text=f"{frequency:.4g} Hz", offset=(5.0, -4.0))
+    markers = [text] if frequency >= PERIODS / window else []
     shown = [mark for mark in marks if limits[0] < mark[0] < limits[1]]
-    return Panel(label=label, curves=curves, markers=[text], limits=limits, least=floor, logarithmic="y", marks=shown)
+    return Panel(label=label, curves=curves, markers=markers, limits=limits, least=floor, logarithmic="y", marks=shown)

@@ -112,6 +112,7 @@ def load_scene(source: str | Path, changes: Mapping[str, Any] | None = None) -> 
     for key, value in (changes or {}).items():
         set_value(data, key, value, label)
     scene = parse_scene(data, f"{label}, changed: {', '.join(changes)}" if changes else label, folder)
+    scene.__dict__["origin"] = str(source)
     # valid values that suggest a wrong unit
     for hint in scene.unit_hints:
         warnings.warn(f"{hint} ({label})", SceneWarning, stacklevel=2)

@@ -193,6 +193,17 @@ class PayloadErrorSection(section.Section):
     relative: Annotated[float, section.quantity("1", ge=-1.0)]
 
 
+class ParameterErrorSection(section.Section):
+    """The real robot has other `parameters` than planning, controllers and shapers assume; keys are those of the scene."""
+
+    kind: Literal["parameter-error"]
+    parameters: Annotated[dict[str, float], Field(min_length=1)]
+
+    def __hash__(self) -> int:
+        """That of the values, as scenes are keys of caches."""
+        return hash(tuple(self.parameters.items()))
+
+
 ImperfectionSection = Annotated[
     SaturationSection
     | RateLimitSection
@@ -205,6 +216,7 @@ ImperfectionSection = Annotated[
     | JitterSection
     | LagSection
     | PayloadErrorSection
+    | ParameterErrorSection
     | OwnPart,
     Field(discriminator="kind"),
 ]

@@ -25,13 +25,7 @@ class Ratio(Section):
     ratio: Annotated[float, quantity("1", gt=0.0)]
 
 
-class RegionSection(Section):
-    """A region that the end effector stays out of; with ``links`` the links too."""
-
-    links: bool = False
-
-
-class BoxRegion(RegionSection):
+class BoxRegion(Section):
     """A rectangle with its sides along x and y, between two opposite corners."""
 
     kind: Literal["box"]
@@ -52,7 +46,7 @@ class BoxRegion(RegionSection):
         return (x, y), (X, y), (X, Y), (x, Y)
 
 
-class PolygonRegion(RegionSection):
+class PolygonRegion(Section):
     """A polygon by its corners, in any sense of rotation."""
 
     kind: Literal["polygon"]
@@ -96,7 +90,7 @@ FAR = 10.0
 """How far a region without an end reaches [m]."""
 
 
-class HeightRegion(RegionSection):
+class HeightRegion(Section):
     """All that is above, or below, a height for |x - center| < half_width."""
 
     kind: Literal["above", "below"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import reduce
+from functools import cached_property, reduce
 from html import escape
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -60,6 +60,11 @@ class Scene(Section):
     motor: Annotated[MotorSection | None, BeforeValidator(one_table)] = None
     plan: PlanSection | None = None
     accuracy: Accuracy = None
+
+    @cached_property
+    def origin(self) -> str:
+        """File or name that the scene was loaded from, whatever was changed since; empty for one that was made otherwise."""
+        return ""
 
     @property
     def is_open(self) -> bool:
@@ -259,7 +264,9 @@ class Scene(Section):
         data = self.model_dump(exclude_none=True)
         for key, value in changes.items():
             set_value(data, key, value, f"scene {self.name}")
-        return parse_scene(data, source=f"scene {self.name}")
+        found = parse_scene(data, source=f"scene {self.name}")
+        found.__dict__["origin"] = self.origin
+        return found
 
 
 def _listed(section: Section) -> str:

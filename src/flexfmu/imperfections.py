@@ -20,6 +20,7 @@ __all__, __getattr__, __dir__ = family(
         "dead_zone(half_width=0.1)": imperfections.DeadZoneSection,
         "backlash(gap=1e-4)": imperfections.BacklashSection,
         "payload_error(relative=0.2)": imperfections.PayloadErrorSection,
+        'parameter_error(parameters={"payload.mass": 7.0})': imperfections.ParameterErrorSection,
     },
     {},
 )

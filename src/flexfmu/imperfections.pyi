@@ -7,6 +7,7 @@ from flexfmu.model.scene.imperfections import EncoderSection
 from flexfmu.model.scene.imperfections import JitterSection
 from flexfmu.model.scene.imperfections import LagSection
 from flexfmu.model.scene.imperfections import NoiseSection
+from flexfmu.model.scene.imperfections import ParameterErrorSection
 from flexfmu.model.scene.imperfections import PayloadErrorSection
 from flexfmu.model.scene.imperfections import QuantisationSection
 from flexfmu.model.scene.imperfections import RateLimitSection
@@ -14,7 +15,7 @@ from flexfmu.model.scene.imperfections import SaturationSection
 from typing import Any
 from typing import Literal
 
-__all__ = ['backlash', 'dead_zone', 'delay', 'encoder', 'jitter', 'lag', 'noise', 'payload_error', 'quantisation', 'rate_limit', 'saturation']
+__all__ = ['backlash', 'dead_zone', 'delay', 'encoder', 'jitter', 'lag', 'noise', 'parameter_error', 'payload_error', 'quantisation', 'rate_limit', 'saturation']
 
 def backlash(
     *,
@@ -84,6 +85,10 @@ def noise(
     half_width: float | Sequence[float] | None = ...,
     seed: int = ...,
 ) -> NoiseSection: ...
+def parameter_error(
+    *,
+    parameters: Mapping[str, Any],
+) -> ParameterErrorSection: ...
 def payload_error(
     *,
     relative: float,

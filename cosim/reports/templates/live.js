@@ -10,72 +10,84 @@
   let chosen = 0;
   const active = () => (isCompared ? simulations : [simulations[chosen]]);
 
-  // a slider of all runs that have the parameter: the first's value, of which the others' are multiples
-  const sliders = [], spread = 3, accuracy = { name: "accuracy", label: "accuracy", unit: "", value: 0, low: -2, high: 3, steps: 1, of: new Map() };
+  // a slider of all runs that have the key: the first's value, of which the others' are multiples; along it values are multiplied, but
+  // added over the interval of a sweep and between accuracies
+  const sliders = [], spread = 3, accuracy = { name: "accuracy", label: "accuracy", unit: "", value: 0, low: -2, high: 3, step: 1, of: new Map() };
   for (const simulation of simulations) for (const each of simulation.facts.sliders) {
-    const known = sliders.find(({ name }) => name === each.name) ?? each;
-    if (known === each) sliders.push(Object.assign(each, { of: new Map(), range: swept[each.key], low: -1, high: 1, steps: 0.005 }));
-    known.of.set(simulation, each);
+    const [written, ...range] = swept[each.key] ?? [], known = sliders.find(({ name }) => name === each.name) ?? each, ratio = known.value / each.value;
+    if (known === each) sliders.push(Object.assign(each, { of: new Map(), written, range: range.length ? range : null }));
+    known.isDesigned ||= each.frozen;
+    known.low = Math.max(known.low / known.value, each.low / each.value) * known.value;
+    known.high = Math.min(known.high / known.value, each.high / each.value) * known.value;
+    known.of.set(simulation, ratio === 1 ? (value) => value : (value) => +(value / ratio).toPrecision(6));
   }
-  for (const each of sliders) if (isCompared && each.of.size < simulations.length) each.label += ` (${[...each.of.keys()].map(({ facts }) => facts.option).join(", ")})`;
-  // between place and value: logarithmic, but over the interval of a sweep
-  const valueAt = ({ range, value }, at) => +(range ? range[0] + ((range[1] - range[0]) * (at + 1)) / 2 : value * spread ** at).toPrecision(4);
-  const placeOf = ({ range, value }, v) => (range ? (2 * (v - range[0])) / (range[1] - range[0]) - 1 : Math.log(v / value) / Math.log(spread));
-  const own = (slider, simulation) => { const each = slider.of.get(simulation); return each && state.has(slider) ? (each.value === slider.value ? state.get(slider) : (each.value * state.get(slider)) / slider.value) : each?.value; };
-  const optionsOf = (simulation, changed = state.keys()) => {
-    const parameters = {}, found = { parameters }, { facts } = simulation;
-    for (const slider of changed) {
-      const value = own(slider, simulation);
-      if (slider === accuracy) Object.assign(found, { step: facts.step * 2 ** state.get(slider), tolerance: facts.tolerance * 10 ** state.get(slider) });
-      else if (value !== undefined && slider.name === "duration") found.stretch = value / facts.duration;
-      else if (value !== undefined) for (const each of slider.of.get(simulation).targets) parameters[each] = value * slider.of.get(simulation).sign;
-    }
-    return found;
-  };
+  for (const each of sliders) {
+    if (isCompared && each.of.size < simulations.length) each.label += ` (${[...each.of.keys()].map(({ facts }) => facts.option).join(", ")})`;
+    if (each.range) Object.assign(each, { low: each.range[0], high: each.range[1], step: (each.range[1] - each.range[0]) / 400 });
+  }
+  const all = [...sliders, accuracy];
+  for (const simulation of simulations) accuracy.of.set(simulation, (value) => value);
+  const placeOf = ({ value, step }, v) => (step ? v : Math.log(v / value) / Math.log(spread));
+  const valueAt = ({ value, step }, at) => +(step ? at : value * spread ** at).toPrecision(4);
+  const valuesOf = (simulation, changed = [...state]) => Object.fromEntries(changed.flatMap(([slider, value]) => (slider.of.has(simulation) ? [[slider.name, slider.of.get(simulation)(value)]] : [])));
+  const simulated = (simulation, changed) => simulation.run(simulation.options(valuesOf(simulation, changed)));
 
   // the five that change the metrics most, and those of a sweep; the others folded away
-  const influence = (slider) => {
-    const [simulation] = slider.of.keys();
+  const influence = (slider) => Math.max(...[...slider.of.keys()].map((simulation) => {
     try {
-      state.set(slider, slider.value * 1.1);
-      const before = usual(simulation).metrics, { metrics } = simulation.run(optionsOf(simulation, [slider]));
+      const before = usual(simulation).metrics, { metrics } = simulated(simulation, [[slider, 1.1 * slider.value]]);
       return Object.keys(before).reduce((sum, name) => sum + (before[name] && metrics[name] !== null ? Math.min(Math.abs(metrics[name] / before[name] - 1), 1) : 0), slider.range ? 100 : 0);
-    } catch { return 0; } finally { state.delete(slider); }
-  };
+    } catch { return 0; }
+  }));
   for (const each of sliders) each.influence = influence(each);
   sliders.sort((a, b) => b.influence - a.influence);
   const { facts } = simulations[0];
   const written = (slider) => {
-    const value = state.get(slider) ?? slider.value;
-    if (slider === accuracy) return `step ${short(1e3 * facts.step * 2 ** value, 3)} ms, tolerance ${short(facts.tolerance * 10 ** value, 2)}`;
-    const isSame = [...slider.of.values()].every((each) => each.value === slider.value);
+    const value = state.get(slider) ?? slider.value, { step, tolerance } = simulations[0].settings(value);
+    if (slider === accuracy) return `step ${short(1e3 * step, 3)} ms, tolerance ${short(tolerance, 2)}`;
+    const isSame = [...slider.of.values()].every((own) => own(value) === value);
     return isSame ? `${short(value, 4)} ${slider.unit}`.trim() : `× ${short(value / slider.value, 4)}`;
   };
-  const set = (slider, value, at = value) => {
-    if (at === slider.start) state.delete(slider); else state.set(slider, value);
-    slider.input.value = at;
+  const set = (slider, value) => {
+    if (value === slider.value) state.delete(slider); else state.set(slider, value);
+    slider.input.value = placeOf(slider, value);
     slider.output.textContent = written(slider);
   };
   const add = (slider, parent) => {
-    const label = html("label", { title: slider.key || "" }, parent);
+    const label = html("label", { title: slider.key || "" }, parent), start = placeOf(slider, slider.value), ends = [placeOf(slider, slider.low), placeOf(slider, slider.high)];
     html("span", {}, label, slider.label);
-    slider.start = slider === accuracy ? 0 : placeOf(slider, slider.value);
-    slider.input = html("input", { type: "range", min: slider.low, max: slider.high, step: slider.steps, value: slider.start, ariaLabel: slider.label }, label);
+    slider.input = html("input", { type: "range", min: ends[0], max: ends[1], step: slider.step ?? 0.005, value: start, ariaLabel: slider.label }, label);
     slider.output = html("output", {}, label, written(slider));
-    slider.input.addEventListener("input", () => { const at = +slider.input.value; set(slider, slider === accuracy ? at : valueAt(slider, at), at); changed(); });
+    slider.input.addEventListener("input", () => { const at = +slider.input.value; set(slider, Math.abs(at - start) < 0.003 * (ends[1] - ends[0]) ? slider.value : valueAt(slider, at)); changed(); });
   };
   const first = Math.max(5, sliders.filter((each) => each.range).length);
   sliders.slice(0, first).forEach((each) => add(each, get(".sliders")));
   if (!isCompared && simulations.length > 1) {
     const label = html("label", {}, get(".sliders"));
     html("span", {}, label, "input shaper");
-    const select = html("select", { ariaLabel: "input shaper", onchange: () => { chosen = +select.value; changed(); } }, label);
+    const select = html("select", { ariaLabel: "input shaper", onchange: () => { page.choose(+select.value); changed(); } }, label);
     simulations.forEach(({ facts: { option } }, i) => html("option", { value: i }, select, option || "as in the scene"));
-    page.choose = (i) => { select.value = chosen = i; };
+    page.choose = (i) => {
+      select.value = chosen = i;
+      for (const each of sliders) { each.input.disabled = !each.of.has(simulations[i]); if (each.input.disabled) set(each, each.value); }
+    };
   }
   add(accuracy, get(".sliders"));
   sliders.slice(first).forEach((each) => add(each, get(".more")));
   get(".more").parentElement.hidden = sliders.length <= first;
+  const remarks = html("p", { className: "remarks caption" });
+  get(".alarm").before(remarks);
+  const spectra = charts.filter(({ x }) => x.startsWith("frequency")).flatMap(({ panels }) => panels.map((each) => (each.recorded = { marks: each.marks, markers: each.markers })));
+  // what stays as it was
+  const remark = () => {
+    const moved = [...state.keys()], isMoved = moved.some((each) => each.targets?.length && "frozen" in each), [{ facts: { fixed } }] = active();
+    remarks.textContent = [
+      fixed && `The duration stays as recorded: ${fixed}.`,
+      moved.some((each) => each.isDesigned) && "Shapers and controllers stay as they were designed, for the recorded robot; copies say so by an imperfection, parameter-error.",
+      isMoved && spectra.some(({ marks }) => marks.length) && "Natural frequencies of the changed robot aren't known: the spectrum shows none.",
+    ].filter(Boolean).join(" ");
+    return isMoved;
+  };
 
   // the robot in motion: points along its links, the rigid robot's and the deviations, at the animation's instants
   const moved = (motion, r) => {
@@ -116,9 +128,9 @@
   const shown = new Set([...cells.filter((each) => each.factor).map((each) => each.name), ...metricCurves]), verdict = document.querySelector(".verdict"), sentences = [...verdict.childNodes];
   const magnification = () => charts.flatMap((chart) => chart.panels).find((each) => each.motion)?.motion.magnification;
   let referenced = "";
-  const sliderOf = (key) => sliders.find((each) => each.key === key);
+  const sliderOf = (key) => sliders.find((each) => [each.written, each.key].includes(key));
   const show = (results, isUsual) => {
-    const [one] = results.values();
+    const [one] = results.values(), isMoved = remark();
     for (const chart of charts) {
       const { motion } = chart.panels[0], sources = chart.panels.flatMap(({ curves }) => curves.map((each) => each.source)).filter(Boolean);
       if (motion) chart.whenSeen(() => { const now = motion.time[motion.frame]; moved(motion, one); motion.show(now); });
@@ -140,6 +152,14 @@
             Object.assign(curve, { x, y, ghost: ghost && { x: recorded[0], y: recorded[1] } });
           }
           if (each.marks.length && chart.overTime && !isCompared) each.marks[0] = [one.duration, each.marks[0][1]];
+          if (each.recorded) {
+            // its highest peak if that is resolved, and no natural frequencies of another robot
+            const peak = { y: 0 };
+            for (const { x, y } of each.curves) y.forEach((height, i) => { if (height > peak.y) Object.assign(peak, { x: x[i], y: height }); });
+            const isResolved = peak.x * (one.time[one.size - 1] - one.duration) >= 2, named = { colour: "var(--ink)", offset: [5, -4], ...peak, text: `${short(peak.x, 3)} Hz` };
+            each.markers = isUsual ? each.recorded.markers : isResolved ? [named] : [];
+            each.marks = isMoved ? [] : each.recorded.marks;
+          }
           if (chart.key === "dwell") each.xLimits = [one.duration, one.time[one.size - 1]];
         }
         chart.redraw(true);
@@ -188,7 +208,7 @@
   let pending = 0, idle = 0, addressed = 0;
   // but for what is rounding, below a nanometre for example
   const companion = (simulation, r) => {
-    const given = optionsOf(simulation), metrics = r.measure(shown);
+    const given = simulation.options(valuesOf(simulation)), metrics = r.measure(shown);
     const finer = simulation.run({ ...given, step: (given.step ?? facts.step) / 2, tolerance: Math.max((given.tolerance ?? facts.tolerance) / 100, 1e-12) }).measure(shown);
     const errors = Object.keys(metrics).map((name) => (metrics[name] > 1e-9 && finer[name] ? Math.abs(finer[name] / metrics[name] - 1) : 0));
     status.textContent = `${status.dataset.time}, metrics within ${short(Math.max(...errors, 1e-12), 2)} of a run with half the step and a hundredth of the tolerance`;
@@ -197,7 +217,7 @@
     pending = 0;
     const began = performance.now(), isUsual = state.size === 0 && chosen === 0;
     try {
-      const results = new Map(active().map((each) => [each.facts.place, state.size ? each.run(optionsOf(each)) : usual(each)])), [r] = results.values();
+      const results = new Map(active().map((each) => [each.facts.place, state.size ? simulated(each) : usual(each)])), [r] = results.values();
       show(results, isUsual);
       const failed = [...results.values()].find((each) => each.failure);
       status.dataset.time = `simulated in ${short([...results.values()].reduce((sum, each) => sum + each.elapsed, 0), 3)} ms`;
@@ -227,54 +247,43 @@
     pending ||= requestAnimationFrame(update);
   };
 
-  // the state as a command, and as a scene
-  const numbers = (slider, simulation) => {
-    const { vector, axis, sign } = slider.of.get(simulation), value = own(slider, simulation) * sign;
-    return vector ? vector.map((each, i) => (i === axis ? value : each)) : value;
-  };
-  const toml = (value) => {
-    if (Array.isArray(value)) return `[${value.map(toml).join(", ")}]`;
-    return value && typeof value === "object" ? `{ ${Object.entries(value).map(([key, each]) => `${key} = ${toml(each)}`).join(", ")} }` : JSON.stringify(value);
-  };
+  // the state as a command, or of runs side by side as commands, and as scenes
   const command = () => {
-    const [simulation] = active(), names = [...new Set(active().map((each) => each.facts.name))], parts = [isCompared ? "flexfmu compare" : "flexfmu run", ...names];
-    for (const [slider, value] of state) {
-      if (slider === accuracy) parts.push(`--step ${+(facts.step * 2 ** value).toPrecision(6)} --tolerance ${+(facts.tolerance * 10 ** value).toPrecision(6)}`);
-      else if (slider.key) parts.push(`--set '${slider.key}=${toml(numbers(slider, slider.of.has(simulation) ? simulation : [...slider.of.keys()][0]))}'`);
-    }
-    if (chosen) parts.push(`--set 'shaper=${toml(simulation.facts.scene.shaper ?? [])}'`);
-    return parts.join(" ");
+    if (!isCompared) return active()[0].command(valuesOf(active()[0]));
+    const folders = simulations.map(({ facts: { option } }) => quoted(`results/${option}`));
+    return [...simulations.map((each, i) => `${each.command(valuesOf(each))} --out ${folders[i]}`), `flexfmu compare ${folders.join(" ")}`].join(" &&\n");
   };
-  const scene = () => {
-    const [simulation] = active(), all = structuredClone(simulation.facts.scene), { step, tolerance } = optionsOf(simulation);
-    if (step) Object.assign(all.cosimulation, { step, tolerance });
-    for (const slider of state.keys()) {
-      const place = slider.of.get(simulation)?.place ?? [], value = place.length && numbers(slider, simulation);
-      place.reduce((found, name, i) => (i === place.length - 1 ? (found[name] = value) : (found[name] ??= {})), all);
-    }
-    const isTable = (each) => each && typeof each === "object" && !Array.isArray(each), lines = (each) => Object.entries(each).map(([key, value]) => `${key} = ${toml(value)}\n`).join("");
-    const parts = Object.entries(all).map(([key, each]) => (isTable(each) ? `\n[${key}]\n${lines(each)}` : isTable(each[0]) ? each.map((one) => `\n[[${key}]]\n${lines(one)}`).join("") : lines({ [key]: each })));
-    return parts.sort((a, b) => (a[0] === "\n") - (b[0] === "\n")).join("");
-  };
-  for (const [name, text] of [[".copy", command], [".copy-scene", scene]]) get(name).addEventListener("click", () => {
+  const scene = (simulation = active()[0]) => simulation.scene(valuesOf(simulation));
+  const copying = (button, text) => button.addEventListener("click", () => {
     Object.assign(get(".command"), { textContent: text(), hidden: false });
     navigator.clipboard?.writeText(text()).catch(() => {});
   });
+  copying(get(".copy"), command);
+  get(".copy").hidden = !simulations.every((each) => each.facts.origin);
+  simulations.slice(0, isCompared ? undefined : 1).forEach((each) => {
+    const button = isCompared ? html("button", { type: "button" }, null, `copy ${each.facts.option} as scene`) : get(".copy-scene");
+    if (isCompared) get(".copy-scene").before(button, " ");
+    button.hidden = !each.facts.scene;
+    copying(button, () => scene(isCompared ? each : undefined));
+  });
+  if (isCompared) get(".copy-scene").remove();
   get(".reset-all").addEventListener("click", () => {
-    for (const slider of [...state.keys()]) set(slider, 0, slider.start);
+    for (const slider of [...state.keys()]) set(slider, slider.value);
     if (chosen) page.choose(0);
     changed();
   });
   // a point of a sweep that was picked
   page.pick = (values) => {
-    for (const [key, value] of Object.entries(values)) { const slider = sliderOf(key); if (slider) set(slider, +value.toPrecision(7), placeOf(slider, value)); }
+    for (const [key, value] of Object.entries(values)) { const slider = sliderOf(key); if (slider) set(slider, +value.toPrecision(7)); }
     changed();
   };
   // the state that the address has
   for (const part of location.hash.slice(1).split("&")) {
-    const [name, value] = part.split("="), slider = [...sliders, accuracy].find((each) => each.name === name);
+    const [name, value] = part.split("="), slider = all.find((each) => each.name === name);
     if (name === "shaper" && simulations[+value] && page.choose) page.choose(+value);
-    if (slider && isFinite(value) && (slider === accuracy || +value > 0)) set(slider, +value, slider === accuracy ? +value : placeOf(slider, +value));
+    if (!slider || slider.input.disabled || !isFinite(value) || !(slider === accuracy || value / slider.value > 0)) continue;
+    const [low, high] = [slider.low, slider.high].sort((a, b) => a - b);
+    set(slider, Math.min(Math.max(+value, low), high));
   }
   show(new Map(active().map((each) => [each.facts.place, usual(each)])), true);
   if (state.size || chosen) changed(); else status.textContent = `simulated in ${short(usual(simulations[0]).elapsed, 3)} ms${facts.grid.times ? ", with all bits of the recording" : ""}`;

@@ -13,6 +13,18 @@ const unpacked = async (text) => {
 };
 const POSITION = ["end_effector.position.x", "end_effector.position.y"], ENDS = 5, ORDERS = 10, FACTORIALS = Array.from({ length: ORDERS }, (_, k) => { let f = 1; while (k > 1) f *= k--; return f; });
 
+// a value as TOML has it in one line; text for a shell; a dotted key's places
+const toml = (value) => {
+  if (Array.isArray(value)) return `[${value.map(toml).join(", ")}]`;
+  if (typeof value !== "object") return JSON.stringify(value);
+  return `{ ${Object.entries(value).map(([key, each]) => `${/^[\w-]+$/.test(key) ? key : JSON.stringify(key)} = ${toml(each)}`).join(", ")} }`;
+};
+const quoted = (text) => (/^[\w./+-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`);
+const put = (data, key, value) => {
+  const places = key.match(/[^.[\]]+/g);
+  places.reduce((found, name, i) => (i === places.length - 1 ? (found[name] = value) : (found[name] ??= {})), data);
+};
+
 class Simulation {
   /** The runs that a page has, and what it sweeps. */
   static async load(text) {
@@ -42,10 +54,10 @@ class Simulation {
       return all;
     };
     const known = limits(knotJets);
-    this.joints = { times: knots, begins: known, polynomials: this.polynomials(knots, known, known, 3 * axes, doubles(grid.knot_scales)) };
+    this.joints = { times: knots, begins: known, positions: axes, polynomials: this.polynomials(knots, known, known, 3 * axes, doubles(grid.knot_scales)) };
     if (grid.times) this.usual = this.recorded(limits);
     const task = doubles(facts.task.times), path = doubles(facts.task.jets);
-    this.task = { times: task, begins: path, polynomials: this.polynomials(task, path, path, 2) };
+    this.task = { times: task, begins: path, positions: 2, polynomials: this.polynomials(task, path, path, 2) };
     this.analysis = Object.fromEntries(Object.entries(facts.analysis).map(([m, { control, highest, quadratures }]) => {
       const put = (text) => this.put(doubles(text));
       const quadrature = ([weights, ...others]) => ({ points: doubles(weights).length, tables: [weights, ...others].map(put) });
@@ -110,8 +122,9 @@ class Simulation {
     return all;
   }
 
-  // derivatives to order 4 of a table at a time, [order][variable]; at a jump from the left or the right
-  evaluate({ times, begins, polynomials }, time, isLeft, found, at = 0) {
+  // derivatives to order 4 of a table at a time, [order][variable]; at a jump from the left or the right; behind the last knot only
+  // positions aren't zero, the first of the variables
+  evaluate({ times, begins, polynomials, positions }, time, isLeft, found, at = 0) {
     const variables = begins.length / times.length / ENDS, last = times.length - 1;
     let low = 0, high = last;
     while (low < high) {
@@ -122,7 +135,7 @@ class Simulation {
     for (let v = 0; v < variables; v++) for (let order = 0; order < ENDS; order++) {
       let sum = 0;
       for (let k = ORDERS - 1; k >= order; k--) sum = sum * (h / (k - order + 1)) + polynomials[(low * ORDERS + k) * variables + v];
-      found[at + order * variables + v] = low === last && order ? 0 : sum;
+      found[at + order * variables + v] = low === last && (order || v >= positions) ? 0 : sum;
     }
   }
 
@@ -183,6 +196,44 @@ class Simulation {
   initialized(component) {
     this.checked(this.exports.fmi2EnterInitializationMode(component));
     this.checked(this.exports.fmi2ExitInitializationMode(component));
+  }
+
+  // communication step and tolerance for an accuracy
+  settings(accuracy) {
+    const { step, tolerance } = this.facts;
+    return { step: +(step * 2 ** accuracy).toPrecision(6), tolerance: +(tolerance * 10 ** accuracy).toPrecision(6) };
+  }
+  /** What `run` takes for values of sliders by their names; that of "accuracy" is a power of 2 of the step and of 10 of the tolerance. */
+  options(values) {
+    const parameters = {}, found = { parameters }, { sliders, duration } = this.facts;
+    if (values.accuracy) Object.assign(found, this.settings(values.accuracy));
+    if ("duration" in values) found.stretch = values.duration / duration;
+    for (const { name, value, targets } of sliders) if (name in values) for (const [target, start, power] of targets) parameters[target] = start === value && power === 1 ? values[name] : start * (values[name] / value) ** power;
+    return found;
+  }
+  /** The same as keys of the scene; where other parts were designed for the robot, the real one's values stand beside the assumed ones. */
+  changes(values) {
+    const { sliders, scene } = this.facts, moved = sliders.filter(({ name }) => name in values), keys = (all) => Object.fromEntries(all.map(({ key, name }) => [key, values[name]]));
+    const found = {}, real = keys(moved.filter((each) => each.frozen)), last = scene.imperfection?.at(-1);
+    if (Object.keys(real).length) {
+      const error = { kind: "parameter-error", parameters: { ...last?.parameters, ...real } };
+      found.imperfection = [...(scene.imperfection ?? []).slice(0, last?.kind === error.kind ? -1 : undefined), error];
+    }
+    if (values.accuracy) for (const [key, value] of Object.entries(this.settings(values.accuracy))) found[`cosimulation.${key}`] = value;
+    return { ...found, ...keys(moved.filter((each) => !each.frozen)) };
+  }
+  /** The command line for the same values; empty without a scene file. */
+  command(values) {
+    const { origin, settings } = this.facts;
+    return origin && ["flexfmu run", quoted(origin), ...[...settings, ...Object.entries(this.changes(values))].map(([key, value]) => `--set ${quoted(`${key}=${toml(value)}`)}`)].join(" ");
+  }
+  /** The scene file for the same values. */
+  scene(values) {
+    const all = structuredClone(this.facts.scene), isTable = (each) => each && typeof each === "object" && !Array.isArray(each);
+    for (const [key, value] of Object.entries(this.changes(values))) put(all, key, structuredClone(value));
+    const lines = (table) => Object.entries(table).map(([key, each]) => `${key} = ${toml(each)}\n`).join("");
+    const parts = Object.entries(all).map(([key, each]) => (isTable(each) ? `\n[${key}]\n${lines(each)}` : isTable(each[0]) ? each.map((one) => `\n[[${key}]]\n${lines(one)}`).join("") : lines({ [key]: each })));
+    return parts.sort((a, b) => (a[0] === "\n") - (b[0] === "\n")).join("");
   }
 
   /** Simulates with `parameters` of robot and blocks; `tolerance`, `step` and `stretch` of the duration where they differ. */

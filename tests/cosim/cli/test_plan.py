@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 import json
 from collections.abc import Iterator, Sequence
 from io import StringIO
@@ -67,6 +69,15 @@ def test_the_planned_motion_simulates_in_its_page(tmp_path: Path) -> None:
     page = (tmp_path / "live.html").read_text(encoding="utf-8")
     assert '<section id="live"' in page
     assert len(page) < 1_000_000
+    # what is copied from it is the planned scene
+    packed = page.partition('id="module">')[2].partition("<")[0]
+    head = json.loads(gzip.decompress(base64.b64decode(packed)).partition(b"\n")[0])
+    run = head["runs"][0]
+    assert run["origin"] == str(tmp_path / "planned.toml")
+    assert run["settings"] == []
+    assert run["scene"]["name"] == f"{SCENE}-planned"
+    assert run["scene"]["trajectory"]["duration"] == 0.6
+    assert f"<h1>{SCENE}-planned" in page
 
 
 @pytest.mark.slow

@@ -109,6 +109,17 @@ def test_the_panel_names_its_highest_peak() -> None:
     assert [text for _, text in panel.marks] == ["mode 1"]
 
 
+def test_what_has_no_two_periods_in_the_window_is_no_vibration() -> None:
+    """A drift has its peak at about the window's own period, which has no name."""
+    time = np.arange(0.0, 0.25, 1e-3)
+    found = spectrum(time, np.exp(-time / 0.1), 0.0)
+    assert found is not None
+    assert spectrum_panel("y", [chart.Curve(*found)], window=0.25).markers == []
+    found = spectrum(time, np.sin(2.0 * np.pi * 12.0 * time), 0.0)
+    assert found is not None
+    assert spectrum_panel("y", [chart.Curve(*found)], window=0.25).markers[0].text.startswith("12")
+
+
 def test_angles_do_not_jump_where_a_leg_points_left() -> None:
     """Beside the base the path crosses the direction in which arc tangents jump by a turn; the motors do not."""
     rigid = {"effects.proximal_bending": 0, "effects.distal_axial": 0, "effects.damping": "none"}
