@@ -1,6 +1,6 @@
 """Joint references as B-splines in normalised time, which start and end at rest.
 
-Both joints are splines of one degree on uniform knots with full multiplicity at the ends. The first coefficients are equal, and so
+Both joints are splines of one degree on the same knots with full multiplicity at the ends, uniform or denser near both. The first coefficients are equal, and so
 are the last: velocity, acceleration and jerk are zero at both ends. A derivative is a spline whose coefficients are linear in
 those of the spline, and bounds on them bound the derivative everywhere (convex hull).
 
@@ -93,6 +93,7 @@ class JointSpline:
         coefficients: of the basis functions [rad], shape (n, 2); n is the number of intervals + degree.
         duration: duration of the motion [s].
         degree: degree of the splines, 4 to 7.
+        crowding: how much denser knots are near both ends, see `spline_knots`.
 
     Raises:
         TrajectoryError: the duration isn't positive, or the shapes and the degree don't match.
@@ -101,6 +102,7 @@ class JointSpline:
     coefficients: RealArray
     duration: float
     degree: int = 5
+    crowding: float = 0.0
 
     def __post_init__(self) -> None:
         positive("trajectory duration", self.duration, "s")
@@ -128,7 +130,9 @@ class JointSpline:
             order: order of the highest derivative.
         """
         points = np.atleast_1d(np.asarray(fraction, dtype=float))
-        rows = [basis(self.degree, self.intervals, points, k) @ self.coefficients for k in range(order + 1)]
+        rows = [
+            basis(self.degree, self.intervals, points, k, self.crowding) @ self.coefficients for k in range(order + 1)
+        ]
         return np.array([row / self.duration**k for k, row in enumerate(rows)])
 
     @property
@@ -175,34 +179,39 @@ class JointSpline:
 
     def metric(self, unit: float) -> RealArray:
         """Return the squared size (m, m) of changes of the acceleration, relative to the largest one, and of the duration."""
-        curve = derivative_matrix(self.degree, self.intervals, 2)
+        curve = derivative_matrix(self.degree, self.intervals, 2, self.crowding)
         by_free = curve[:, REST:-REST]
         found = np.kron(np.eye(2), by_free.T @ by_free) / np.abs(curve @ self.coefficients).max() ** 2
         return np.pad(found, (0, 1)) + np.diag(np.append(np.zeros(len(found)), 0.1 * len(curve) / unit**2))
 
     def _derived(self, order: int) -> RealArray:
         """The matrix from coefficients to those of a derivative that aren't zero at rest."""
-        return derivative_matrix(self.degree, self.intervals, order)[REST - order : order - REST]
+        return derivative_matrix(self.degree, self.intervals, order, self.crowding)[REST - order : order - REST]
 
     def trajectory(self) -> PiecewisePolynomial:
         """Return the joints' motion in time, exactly."""
-        knots = self.duration * uniform_knots(self.degree, self.intervals)
+        knots = self.duration * spline_knots(self.degree, self.intervals, self.crowding)
         return from_scipy(BSpline(knots, self.coefficients, self.degree), "joints")
 
 
-def uniform_knots(degree: int, intervals: int) -> RealArray:
-    """Knots from 0 to 1, the ends with full multiplicity, shape (intervals + 1 + 2 degree,)."""
-    return np.concatenate([np.zeros(degree), np.linspace(0.0, 1.0, intervals + 1), np.ones(degree)])
+def spline_knots(degree: int, intervals: int, crowding: float = 0.0) -> RealArray:
+    """Knots from 0 to 1, the ends with full multiplicity, shape (intervals + 1 + 2 degree,).
+
+    With a crowding c below 1 intervals are 1 - c times as long as uniform ones at both ends, and 1 + c times in the middle.
+    """
+    uniform = np.linspace(0.0, 1.0, intervals + 1)
+    inner = uniform - crowding * np.sin(2.0 * np.pi * uniform) / (2.0 * np.pi)
+    return np.concatenate([np.zeros(degree), inner, np.ones(degree)])
 
 
 def knot_means(degree: int, intervals: int) -> RealArray:
-    """Means of each basis function's inner knots, shape (n,): a spline is near its coefficients there (Schoenberg's operator)."""
-    knots = uniform_knots(degree, intervals)
+    """Means of each basis function's inner uniform knots, shape (n,): a spline is near its coefficients there (Schoenberg's operator)."""
+    knots = spline_knots(degree, intervals)
     return np.array([knots[i + 1 : i + 1 + degree].mean() for i in range(intervals + degree)])
 
 
 @lru_cache(maxsize=64)
-def _basis_splines(degree: int, intervals: int, order: int = 0) -> BSpline:
+def _basis_splines(degree: int, intervals: int, order: int, crowding: float) -> BSpline:
     """All basis functions as one spline, or a derivative of them in normalised time.
 
     Raises:
@@ -210,21 +219,22 @@ def _basis_splines(degree: int, intervals: int, order: int = 0) -> BSpline:
     """
     if order > degree:
         raise TrajectoryError(f"a spline of degree {degree} has derivatives up to order {degree}, got {order}")
-    return BSpline(uniform_knots(degree, intervals), np.eye(intervals + degree), degree).derivative(order)
+    knots = spline_knots(degree, intervals, crowding)
+    return BSpline(knots, np.eye(intervals + degree), degree).derivative(order)
 
 
-def basis(degree: int, intervals: int, points: RealArray, order: int = 0) -> RealArray:
+def basis(degree: int, intervals: int, points: RealArray, order: int = 0, crowding: float = 0.0) -> RealArray:
     """Return a derivative of all basis functions in normalised time at points (N,) of 0 to 1, shape (N, n)."""
-    return np.asarray(_basis_splines(degree, intervals, order)(points))
+    return np.asarray(_basis_splines(degree, intervals, order, crowding)(points))
 
 
-def derivative_matrix(degree: int, intervals: int, order: int) -> RealArray:
+def derivative_matrix(degree: int, intervals: int, order: int, crowding: float = 0.0) -> RealArray:
     """Return the matrix from coefficients to those of a derivative in normalised time, shape (n - order, n).
 
     Raises:
         TrajectoryError: the order is higher than the degree.
     """
-    return np.asarray(_basis_splines(degree, intervals, order).c[: intervals + degree - order])
+    return np.asarray(_basis_splines(degree, intervals, order, crowding).c[: intervals + degree - order])
 
 
 def reference_derivatives(motion: JointSpline, changes: RealArray, fractions: RealArray) -> RealArray:
@@ -237,7 +247,7 @@ def reference_derivatives(motion: JointSpline, changes: RealArray, fractions: Re
     """
     by = np.zeros((len(fractions), 3, 2, 2, changes.shape[1]))
     for k in range(3):
-        moved = basis(motion.degree, motion.intervals, fractions, k) @ changes / motion.duration**k
+        moved = basis(motion.degree, motion.intervals, fractions, k, motion.crowding) @ changes / motion.duration**k
         by[:, k, 0, 0] = by[:, k, 1, 1] = moved
     return by.reshape(len(fractions), 6, -1)
 
@@ -255,7 +265,9 @@ def rest_matrix(count: int) -> RealArray:
     return np.eye(count - 2 * REST + 2)[columns]
 
 
-def fitted(trajectory: Trajectory, intervals: int, degree: int = 5, side: Side = "right") -> JointSpline:
+def fitted(
+    trajectory: Trajectory, intervals: int, degree: int = 5, side: Side = "right", crowding: float = 0.0
+) -> JointSpline:
     """Return the spline next to a motion of the joints by least squares; it has the same ends and starts and ends at rest.
 
     Args:
@@ -263,15 +275,17 @@ def fitted(trajectory: Trajectory, intervals: int, degree: int = 5, side: Side =
         intervals: number of intervals between knots of the spline.
         degree: degree of the spline.
         side: the limit that counts at breakpoints.
+        crowding: how much denser the knots are near both ends.
     """
     # points at the nodes of Gauss in every interval
     nodes = np.polynomial.legendre.leggauss(degree + 1)[0]
-    points = ((np.arange(intervals)[:, np.newaxis] + 0.5 + 0.5 * nodes) / intervals).ravel()
+    knots = spline_knots(degree, intervals, crowding)[degree : degree + intervals + 1]
+    points = (knots[:-1, np.newaxis] + np.diff(knots)[:, np.newaxis] * (0.5 + 0.5 * nodes)).ravel()
     duration = trajectory.duration
     angles = trajectory.evaluate(points * duration, 0, side)[0]
     ends = trajectory.evaluate([0.0, duration], 0, "right")[0]
     # the free coefficients
     rest = rest_matrix(intervals + degree)
-    matrix = basis(degree, intervals, points) @ rest
+    matrix = basis(degree, intervals, points, crowding=crowding) @ rest
     free = np.linalg.lstsq(matrix[:, 1:-1], angles - matrix[:, [0, -1]] @ ends, rcond=None)[0]
-    return JointSpline(rest @ np.vstack([ends[:1], free, ends[1:]]), duration, degree)
+    return JointSpline(rest @ np.vstack([ends[:1], free, ends[1:]]), duration, degree, crowding)

@@ -23,15 +23,15 @@ from flexfmu.trajectories.piecewise import PiecewisePolynomial
 FINE = np.linspace(0.0, 1.0, 2001)
 
 
-def _random(degree: int, intervals: int, duration: float = 0.3) -> JointSpline:
+def _random(degree: int, intervals: int, duration: float = 0.3, crowding: float = 0.0) -> JointSpline:
     free = np.random.default_rng(degree).normal(size=(intervals + degree - 2 * REST + 2, 2))
-    return JointSpline(rest_matrix(intervals + degree) @ free, duration, degree)
+    return JointSpline(rest_matrix(intervals + degree) @ free, duration, degree, crowding)
 
 
 @pytest.mark.parametrize("degree", [4, 5, 6, 7])
 def test_the_trajectory_is_the_spline(degree: int) -> None:
     """Angles and derivatives up to jerk, and rest at both ends."""
-    spline = _random(degree, 9)
+    spline = _random(degree, 9, crowding=0.1 * degree)
     exact, motion = spline.evaluate(FINE, 3), spline.trajectory()
     assert isinstance(motion, PiecewisePolynomial)
     assert (motion.coordinates, motion.degree, len(motion.knots)) == ("joints", degree, 10)
@@ -56,8 +56,8 @@ def test_coefficients_bound_derivatives(order: int) -> None:
 
 def test_the_fit_keeps_splines_and_ends() -> None:
     """A spline is found again; another motion keeps its ends to rounding."""
-    spline = _random(5, 8)
-    again = fitted(spline.trajectory(), 8)
+    spline = _random(5, 8, crowding=0.5)
+    again = fitted(spline.trajectory(), 8, crowding=0.5)
     assert again.coefficients == pytest.approx(spline.coefficients, abs=1e-10)
     coarse = fitted(_random(7, 6).trajectory(), 20)
     assert coarse.evaluate([0.0, 1.0], 0)[0] == pytest.approx(_random(7, 6).evaluate([0.0, 1.0], 0)[0], abs=1e-14)

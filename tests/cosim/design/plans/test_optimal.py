@@ -324,9 +324,13 @@ def test_a_cycle_keeps_the_motors_and_the_joints_to_what_they_can(monkeypatch: p
         for k, load in enumerate(flexfmu.motor_loads(run)):
             use = {margin.name: margin.use for margin in load.margins}
             used += [use["peak torque"], use["torque at speed"], use["speed"]]
-            holding, length = float(run.recording[f"joint{k + 1}.torque"].values[-1]) / 25.0 / 1.3, each.time
-            dwell = run.recording.time[-1] - length
-            squares[k] += use["RMS torque"] ** 2 * (length + dwell) + holding**2 * (0.05 - dwell)
+            # torques of the shaft over motion and pause
+            time = run.recording.time[run.recording.time <= each.time + 0.05]
+            turning = each.candidate.joints.evaluate(np.minimum(time, each.time), 2, "left")[2, :, k] * (
+                time <= each.time
+            )
+            torque = run.recording[f"joint{k + 1}.torque"].values[: len(time)]
+            squares[k] += np.trapezoid(np.square((torque / 25.0 + 25.0 * 4e-5 * turning) / 1.3), time)
     period = result.chosen.time
     used += np.sqrt(squares / period * (period / 5.0) / -np.expm1(-period / 5.0)).tolist()
     assert 0.98 < max(used) < 1.0001
