@@ -783,6 +783,7 @@ def _shown_plan(result: PlanResult) -> Iterator[RenderableType]:
     """What the given and the chosen motion need, how close this comes to each limit, the front, the chosen motion in other models, and the verdict."""
     from flexfmu.cosim.design.plans.planned_files import (
         front_table,
+        headings,
         limits_table,
         robustness_table,
         summary_table,
@@ -800,7 +801,7 @@ def _shown_plan(result: PlanResult) -> Iterator[RenderableType]:
     yield as_terminal_table(limits_table(chosen), texts=("Unit", "Kept", "Where"))
     # motions over the whole front, the given and the chosen one and those to compare with among them; the page has all figures
     table, count = front_table(result), len(result.table)
-    left_out = {"Method", *({"Jerk [rad/s³]", "Off path [mm]"} if "jerk" not in result.axes else {"Off path [mm]"})}
+    left_out = {"Method", *headings([name for name in ("jerk", "off_path") if name not in result.goals.wishes.front])}
     shown = [k for k, name in enumerate(table.header) if name not in left_out]
     table = replace(
         table, header=[table.header[k] for k in shown], rows=[[row[k] for k in shown] for row in table.rows]

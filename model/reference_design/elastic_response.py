@@ -348,7 +348,14 @@ class FleetResponse:
 
     def of_motion(self, motion: DesignedMotion, *, derivatives: bool = True) -> Response:
         """The response as of `ElasticResponse`; the end states of robots with fewer coordinates end with zeros."""
-        found = [part.of_motion(motion, derivatives=derivatives) for part in self.parts]
+        return self._joined([part.of_motion(motion, derivatives=derivatives) for part in self.parts])
+
+    def of_references(self, references: RealArray, duration: float) -> Response:
+        """The response to joint references (3, N, 2) at `fractions` of a duration [s], without derivatives."""
+        return self._joined([part.respond(np.hstack(list(references)), duration) for part in self.parts])
+
+    @staticmethod
+    def _joined(found: Sequence[Response]) -> Response:
         return Response(*(joined([getattr(each, field.name) for each in found]) for field in fields(Response)))
 
     def transfer(self, duration: float) -> RealArray:

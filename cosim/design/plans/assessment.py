@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from flexfmu.cosim.design.plans.sampled_loop import loop_run, tracking_error, wi
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.experiment.metric import Metric, RunMetrics
 from flexfmu.cosim.experiment.planning import plan, plan_own
 from flexfmu.cosim.experiment.scene_loop import loop_of, own_loop
@@ -165,20 +166,46 @@ class Peaks:
     times: Mapping[str, tuple[float, ...]]
 
 
-FIGURES: Mapping[str, tuple[str, str]] = {
-    "time": ("Duration with shapers, without the dwell", "s"),
-    "residual": ("Largest residual vibration", "m"),
-    "torque": ("Largest torque", "N.m"),
-    "rms_torque": ("Largest RMS torque", "N.m"),
-    "power": ("Largest power of a motor", "W"),
-    "supply_power": ("Largest power of both motors", "W"),
-    "regenerated_power": ("Largest power that flows back from both motors", "W"),
-    "energy": ("Largest energy of a run", "J"),
-    "off_path": ("Largest distance from the given path", "m"),
-    "jerk": ("Largest jerk of a joint's references", "rad/s3"),
-    "clearance": ("Smallest distance to the keep-out region", "m"),
+class AssessedFigure(NamedTuple):
+    """A figure of an assessment: label, SI unit, heading of a column, factor and unit with which it is shown."""
+
+    label: str
+    unit: str
+    short: str
+    factor: float = 1.0
+    shown: str = ""
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit with which it is shown."""
+        return self.shown or shown_unit(self.unit)
+
+    @property
+    def heading(self) -> str:
+        """Heading of a column, with the unit."""
+        return f"{self.short} [{self.shown_unit}]"
+
+    def text(self, value: float) -> str:
+        """A value [SI] as it is shown."""
+        return f"{self.factor * value:.4g}"
+
+
+FIGURES: Mapping[str, AssessedFigure] = {
+    "time": AssessedFigure("Total time", "s", "Time"),
+    "residual": AssessedFigure("Residual vibration", "m", "Residual", 1e6, "µm"),
+    "torque": AssessedFigure("Peak torque", "N.m", "Torque"),
+    "rms_torque": AssessedFigure("RMS torque", "N.m", "RMS"),
+    "power": AssessedFigure("Power of a motor", "W", "Power"),
+    "supply_power": AssessedFigure("Power of the supply", "W", "Supply"),
+    "regenerated_power": AssessedFigure("Power back", "W", "Back"),
+    "energy": AssessedFigure("Energy", "J", "Energy"),
+    "off_path": AssessedFigure("Off the path", "m", "Off path", 1e3, "mm"),
+    "speed": AssessedFigure("Joint speed", "rad/s", "Speed"),
+    "acceleration": AssessedFigure("Joint acceleration", "rad/s2", "Acceleration"),
+    "jerk": AssessedFigure("Joint jerk", "rad/s3", "Jerk"),
+    "clearance": AssessedFigure("Distance to the keep-out region", "m", "Clearance", 1e3, "mm"),
 }
-"""Figure of an assessment → label and SI unit."""
+"""The largest figures of an assessment; the time with shapers, without the dwell; the smallest clearance."""
 
 
 def _worst(figure: str) -> Any:
@@ -187,7 +214,16 @@ def _worst(figure: str) -> Any:
     def find(self: Assessment) -> float:
         return self.worst(figure)
 
-    return property(find, doc=FIGURES[figure][0])
+    return property(find, doc=f"{FIGURES[figure].label} [{FIGURES[figure].unit}].")
+
+
+def _rate(name: str) -> Any:
+    """The property of an assessment that is the largest rate of the joint references."""
+
+    def find(self: Assessment) -> float:
+        return self.references[RATES.index(name)]
+
+    return property(find, doc=f"{FIGURES[name].label} [{FIGURES[name].unit}].")
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,10 +264,7 @@ class Assessment:
     supply_power, regenerated_power = map(_worst, ("supply_power", "regenerated_power"))
     energy, off_path, clearance = map(_worst, ("energy", "off_path", "clearance"))
 
-    @property
-    def jerk(self) -> float:
-        """Largest jerk of a joint's references [rad/s³]."""
-        return self.references[2]
+    speed, acceleration, jerk = map(_rate, RATES)
 
     @cached_property
     def torque_ratio(self) -> float:
@@ -239,11 +272,18 @@ class Assessment:
         return next((use.value for use in self.uses if use.name == "torque ratio"), math.nan)
 
     @property
+    def figures(self) -> dict[str, float]:
+        """All of `FIGURES`."""
+        return {name: float(getattr(self, name)) for name in FIGURES}
+
+    @property
     def metrics(self) -> RunMetrics:
         """Its figures with units and labels, the worst within the bands."""
         found = {
-            name: Metric(float(getattr(self, name)), unit, name=name, label=label, description=f"{label}.")
-            for name, (label, unit) in FIGURES.items()
+            name: Metric(
+                value, FIGURES[name].unit, name=name, label=FIGURES[name].label, description=f"{FIGURES[name].label}."
+            )
+            for name, value in self.figures.items()
         }
         return RunMetrics(self.candidate.label, lambda companions, names: found)
 

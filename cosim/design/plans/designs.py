@@ -33,39 +33,19 @@ NODES = 400
 """Nodes of a tabulated path; quintics between them are exact to 1e-9 rad."""
 
 
-@dataclass(frozen=True)
-class ShaperChoice:
-    """A shaper of the joint references.
-
-    Attributes:
-        kind: key of `flexfmu.trajectories.shapers.designs.SHAPERS`.
-        frequency: of the mode [Hz].
-        ratio: damping ratio.
-    """
-
-    kind: str
-    frequency: float
-    ratio: float
-
-    @property
-    def section(self) -> dict[str, Any]:
-        """The keys of the scene file's `[[shaper]]` table."""
-        modes = [{"frequency": self.frequency, "ratio": self.ratio}]
-        return {"kind": self.kind, "modes": modes, "apply": "joints"}
-
-    @property
-    def sequence(self) -> ImpulseSequence:
-        """The impulses.
-
-        Raises:
-            TrajectoryError: there is no such shaper for this damping.
-        """
-        return _sequence(self)
+ShaperChoice = tuple[str, Oscillator]
+"""A shaper of the joint references: key of `flexfmu.trajectories.shapers.designs.SHAPERS`, and its mode."""
 
 
 @lru_cache(maxsize=1024)
 def _sequence(choice: ShaperChoice) -> ImpulseSequence:
-    return design_shaper(choice.kind, [Oscillator(choice.frequency, choice.ratio)])
+    """The impulses of a shaper.
+
+    Raises:
+        TrajectoryError: there is no such shaper for this damping.
+    """
+    kind, mode = choice
+    return design_shaper(kind, [mode])
 
 
 @dataclass(frozen=True)
@@ -91,12 +71,7 @@ class Design:
     @property
     def sequence(self) -> ImpulseSequence:
         """All impulses."""
-        return reduce(ImpulseSequence.convolve, [each.sequence for each in self.shapers], UNSHAPED)
-
-    @property
-    def total(self) -> float:
-        """Duration with shapers [s]."""
-        return self.duration + self.sequence.duration
+        return reduce(ImpulseSequence.convolve, map(_sequence, self.shapers), UNSHAPED)
 
     @property
     def changes(self) -> dict[str, Any]:
@@ -107,14 +82,17 @@ class Design:
             "trajectory.blend": {"kind": self.blend, "height": height, "width": width},
             "trajectory.profile": {"kind": "polynomial", "coefficients": list(self.law)},
             "trajectory.duration": self.duration,
-            "shaper": [each.section for each in self.shapers],
+            "shaper": [
+                {"kind": kind, "modes": [{"frequency": mode.frequency, "ratio": mode.ratio}], "apply": "joints"}
+                for kind, mode in self.shapers
+            ],
         }
 
     @property
     def label(self) -> str:
         """Corners, time law and shapers in a line."""
         height, width = self.corner
-        shapers = " x ".join(f"{each.kind} on joints" for each in self.shapers) or "unshaped"
+        shapers = " x ".join(f"{kind} on joints" for kind, _ in self.shapers) or "unshaped"
         return f"{self.blend} {1e3 * width:.0f} x {1e3 * height:.0f} mm, polynomial, {shapers}"
 
 
@@ -243,7 +221,7 @@ class MotionFamily:
     scene: Scene
     heights: tuple[float, float]
     blend: str
-    shapers: tuple[tuple[str, Oscillator], ...] = ()
+    shapers: tuple[ShaperChoice, ...] = ()
 
     def start(self, path: tuple[float, ...]) -> RealArray:
         """Numbers to begin with: lift and corners, a smooth time law, and frequencies above the modes' own."""
@@ -290,10 +268,10 @@ class MotionFamily:
         law = polynomial([_along((-SHAPE, SHAPE), each) for each in shape])
         pairs = zip(self.shapers, frequencies, strict=True)
         shapers = tuple(
-            ShaperChoice(kind, mode.frequency * _along(FREQUENCIES, number), mode.ratio)
+            (kind, replace(mode, frequency=mode.frequency * _along(FREQUENCIES, number)))
             for (kind, mode), number in pairs
         )
-        duration = total - sum(each.sequence.duration for each in shapers)
+        duration = total - sum(_sequence(each).duration for each in shapers)
         if duration < LEAST_TIME * total:
             raise TrajectoryError("shapers take longer than the motion")
         return Design(self.blend, (tall, width), height, law, shapers, duration)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import chain, product
+from itertools import product
 from typing import Any, TypeVar
 
 import numpy as np
@@ -26,7 +26,7 @@ from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.planning import plan_rigid
 from flexfmu.cosim.many.journal import WorkJournal
 from flexfmu.model.reference_design import optimal_control
-from flexfmu.model.reference_design.elastic_response import LINK_LOADS, ElasticResponse, RobotVariant
+from flexfmu.model.reference_design.elastic_response import LINK_LOADS, FleetResponse, RobotVariant, joined
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
 from flexfmu.model.reference_design.joint_spline import REST, DesignedMotion, JointSpline, fitted
 from flexfmu.model.reference_design.robust_correction import Tolerances, corrected
@@ -47,8 +47,8 @@ PAYLOADS = 25, 13
 FULLER_NODES, FEW = 4, 7
 """Payloads that the programmes have of the fuller model, and those of the scene's model for the first motion."""
 
-GIVEN_STEPS, GIVEN_SHARED = 300, 6
-"""Steps of the integration for the given motion's torques, and how many share a matrix."""
+GIVEN_STEPS = 300
+"""Steps of the integration for the given motion's loads."""
 
 STARTS = (0.65, 0.5, 0.8)
 """Durations of the first motions where it is free, relative to the given one: the next serves where the one before finds nothing."""
@@ -84,8 +84,8 @@ meets limits to half a percent, and the given torques vary between payloads."""
 
 Motion = TypeVar("Motion", bound=DesignedMotion)
 
-Robots = list[list[RobotVariant]]
-"""Robots of a way, by scene."""
+Robots = tuple[Sequence[RobotVariant], NDArray[np.intp]]
+"""Robots of a way, those of one scene behind each other, and the index of the robot of each case."""
 
 Optimum = tuple[list[tuple[list[tuple[float, float]], float, int, float]], float] | None
 Corrected = tuple[list[tuple[float, float]], float, int, float, str]
@@ -204,7 +204,7 @@ LEVELS, LIFTED, LOOSER = (10, 4), 1e3, 10.0
 def _front(
     goals: Goals,
     given: Assessment,
-    motions: Sequence[tuple[Robots, NDArray[np.intp]]],
+    motions: Sequence[Robots],
     attempt: Callable[..., tuple[list[JointSpline], bool] | None],
     judge: Judge,
 ) -> Iterator[Candidate]:
@@ -346,20 +346,20 @@ def _candidate(goals: Goals, label: str, splines: Sequence[JointSpline]) -> Cand
     return replace(parts[0], ways=tuple(parts)) if goals.ways else parts[0]
 
 
-def _ways(goals: Goals) -> tuple[list[tuple[Robots, NDArray[np.intp]]], list[int], NDArray[np.intp]]:
+def _ways(goals: Goals) -> tuple[list[Robots], list[int], NDArray[np.intp]]:
     """The robots of each way in the scene's model and in a fuller one with the robot of every case, the programmes' cases, and the first one's."""
-    ways, nodes = [(Robots(), list[NDArray[np.intp]]()) for _ in goals.ways or (goals,)], list[int]()
-    each_goals = goals.ways or (goals,)
+    each_goals, nodes = goals.ways or (goals,), list[int]()
+    ways = [(list[RobotVariant](), list[NDArray[np.intp]]()) for _ in each_goals]
     for count, few, fuller in zip(PAYLOADS, (optimal_control.NODES, FULLER_NODES), (False, True), strict=True):
         variations = [each.variations(count) for each in each_goals]
         scenes = [fuller_scene(each.scene) if fuller else each.scene for each in each_goals]
-        first = sum(map(len, ways[0][1]))
+        if scenes[0] is None:
+            continue
+        nodes += [sum(map(len, ways[0][1])) + k for k in _nodes(max(variations, key=len), few)]
         for (robots, cases), scene, own, of_case in zip(ways, scenes, variations, cases_of(variations), strict=True):
             if scene is not None:
-                cases.append(sum(map(len, robots)) + of_case)
-                robots.append([RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in own])
-        if scenes[0] is not None:
-            nodes += [first + k for k in _nodes(max(variations, key=len), few)]
+                cases.append(len(robots) + of_case)
+                robots += [RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in own]
     first_nodes = _nodes(max((each.variations(PAYLOADS[0]) for each in each_goals), key=len), FEW)
     return [(robots, np.concatenate(cases)) for robots, cases in ways], nodes, np.array(first_nodes)
 
@@ -415,7 +415,7 @@ def _nodes(variations: Sequence[Variation], count: int) -> list[int]:
 
 
 def limited(
-    goals: Goals, given: Assessment, motions: Sequence[tuple[Robots, NDArray[np.intp]]], *, walls: bool = False
+    goals: Goals, given: Assessment, motions: Sequence[Robots], *, walls: bool = False
 ) -> tuple[list[optimal_control.Way], dict[str, RealArray]]:
     """The ways with the goals' limits in numbers, for each robot relative to what the given motion or cycle needs in the same model, and
     the limits of the cycle's loads for each case; with walls, what a way passes through counts by the way around it."""
@@ -432,8 +432,7 @@ def limited(
     names = ["torque", *(name for name in LOADS if name in goals.limits)]
     needs = list[dict[str, RealArray]]()
     for of_way, (robots, cases), pause in zip(each_goals, motions, pauses, strict=True):
-        found = [_given_loads(of_way, each, names, pause) for each in robots]
-        needs.append({name: np.concatenate([each[name] for each in found])[cases] for name in found[0]})
+        needs.append({name: each[cases] for name, each in _given_loads(of_way, robots, names, pause).items()})
     # the largest of all ways, or their sum
     time = sum(each.given.once.duration + pause for each, pause in zip(each_goals, pauses, strict=True))
     usual = dict[str, RealArray]()
@@ -447,12 +446,11 @@ def limited(
     limits = {name: share * goals.limit(name, each) for name, each in usual.items()}
     ways = []
     for of_way, (robots, cases), pause in zip(each_goals, motions, pauses, strict=True):
-        every = [*chain(*robots)]
         loads = dict[str, RealArray]()
         for name, limit in limits.items():
             if name not in optimal_control.OF_CYCLE:
                 # a robot of several cases keeps the least limit
-                loads[name] = np.full((len(every), *limit.shape[1:]), np.inf)
+                loads[name] = np.full((len(robots), *limit.shape[1:]), np.inf)
                 np.minimum.at(loads[name], cases, limit)
 
         clearance = of_way.clearance.of_ways if walls else of_way.clearance.distances
@@ -461,8 +459,7 @@ def limited(
             loads.pop("torque"), speed, acceleration, jerk, quiet * goals.wishes.residual, distances, loads, pause,
             goals.wishes.settled_within, drives,
         )  # fmt: skip
-        start = _spline(of_way.given.once.joints)
-        ways.append(optimal_control.Way(every, own, start, cases))
+        ways.append(optimal_control.Way(robots, own, _spline(of_way.given.once.joints), cases))
     return ways, {name: limit for name, limit in limits.items() if name in optimal_control.OF_CYCLE}
 
 
@@ -470,31 +467,18 @@ def _given_loads(
     goals: Goals, robots: Sequence[RobotVariant], names: Sequence[str], pause: float
 ) -> dict[str, RealArray]:
     """The largest loads of the given motion at an instant, (P, 2) or (P,), and what it adds to those of a cycle."""
-    motion = goals.given.once
-    ends = motion.joints.evaluate([0.0, motion.duration], 0, "right")[0]
+    joints = goals.given.once.joints
+    first, last = joints.evaluate([0.0, joints.duration], 0, "right")[0]
     link_loads = tuple(name for name in LINK_LOADS if name in names)
-    response = ElasticResponse(
-        robots[0].scene,
-        [each.changes for each in robots],
-        ends[0],
-        GIVEN_STEPS,
-        CompiledAtPoints,
-        shared=GIVEN_SHARED,
-        loads=link_loads,
-    )
-    references = motion.joints.evaluate(response.fractions * motion.duration, 2, "left")
-    found_response = response.respond(np.hstack(list(references)), motion.duration)
-    motors = optimal_control.MotorLoads(
-        response.fractions, response.model.rest(ends[1]).torque, pause, goals.drives, link_loads
-    )
+    elastic = FleetResponse(robots, first, GIVEN_STEPS, link_loads)
+    references, duration = joints.evaluate(elastic.fractions * joints.duration, 2, "left"), joints.duration
+    found = elastic.of_references(references, duration)
+    holding = joined([part.model.rest(last).torque for part in elastic.parts])
+    motors = optimal_control.MotorLoads(elastic.fractions, holding, pause, goals.drives, link_loads)
     units = {name: optimal_control.OF_CYCLE.get(name, name) for name in names}
-    found = motors.of_references(units.values(), references, motion.duration, found_response)
-    return {
-        name: found[unit]
-        if name in optimal_control.OF_CYCLE
-        else np.abs(found[unit]).max(axis=(1, 2) if name in link_loads else 1)
-        for name, unit in units.items()
-    }
+    values = motors.of_references(units.values(), references, duration, found)
+    axes = {name: () if name in optimal_control.OF_CYCLE else (1, 2) if name in link_loads else 1 for name in names}
+    return {name: np.abs(values[unit]).max(axis=axes[name]) for name, unit in units.items()}
 
 
 def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:

@@ -16,12 +16,11 @@ import tomlkit
 
 from flexfmu.cosim.design.plans.assessment import FIGURES, INSTANTS, Assessment
 from flexfmu.cosim.design.plans.clearance import Clearance
-from flexfmu.cosim.design.plans.goals import Goals
-from flexfmu.cosim.design.plans.planner import DRAWN, FRONT, MORE, PlanResult
+from flexfmu.cosim.design.plans.goals import RATES, Goals
+from flexfmu.cosim.design.plans.planner import PlanResult
 from flexfmu.cosim.design.scene_files import toml_item
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import OutputFolder, write_whole
-from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, Curve, Marker, Panel
@@ -156,9 +155,7 @@ def summary(result: PlanResult) -> dict[str, Any]:
         return {
             "motion": each.candidate.label,
             "method": each.candidate.method,
-            **{name: float(getattr(each, name)) for name in FRONT},
-            **{name: float(getattr(each, name)) for name in (*MORE, "supply_power", "regenerated_power")},
-            "clearance": float(each.clearance) if np.isfinite(each.clearance) else None,
+            **{name: value if math.isfinite(value) else None for name, value in each.figures.items()},
             "feasible": each.feasible,
             "limits": [
                 {"name": use.name, "value": float(use.value), "limit": float(use.limit), "unit": use.unit, "where": use.where, "met": bool(use.met)}
@@ -190,10 +187,9 @@ def summary(result: PlanResult) -> dict[str, Any]:
         "failures": list(result.failures),
         "robustness": [
             {
-                **{key: getattr(line, key) for key in ("model", "residual", "where", "torque_ratio", "off_path")},
-                **({} if math.isfinite(line.residual) else {"residual": None}),
+                **{key: value for key, value in vars(line).items() if key != "uses"},
+                "residual": line.residual if math.isfinite(line.residual) else None,
                 "missed": list(line.missed),
-                "note": line.note,
             }
             for line in result.robustness
         ],
@@ -239,37 +235,34 @@ def plan_page(result: PlanResult) -> str:
 def summary_table(result: PlanResult) -> Table:
     """Worst figures over the bands, of the given and the chosen motion."""
     given, chosen = result.given, result.chosen
-    figures = {
-        "Total time [s]": (given.time, chosen.time),
-        "Residual vibration [µm]": (1e6 * given.residual, 1e6 * chosen.residual),
-        "Peak torque [N·m]": (given.torque, chosen.torque),
-        "RMS torque [N·m]": (given.rms_torque, chosen.rms_torque),
-        "Power of a motor [W]": (given.power, chosen.power),
-        "Power of the supply [W]": (given.supply_power, chosen.supply_power),
-        "Power back [W]": (given.regenerated_power, chosen.regenerated_power),
-        "Energy [J]": (given.energy, chosen.energy),
-        "Off the path [mm]": (1e3 * given.off_path, 1e3 * chosen.off_path),
-        **{
-            f"Joint {name} [{unit}]": (given.references[k], chosen.references[k])
-            for k, (name, unit) in enumerate((("speed", "rad/s"), ("acceleration", "rad/s²"), ("jerk", "rad/s³")))
-        },
-    }
     rows = [
-        [name, f"{one:.4g}", f"{other:.4g}", f"{other / one:.3g}" if one else "-"]
-        for name, (one, other) in figures.items()
+        [
+            f"{figure.label} [{figure.shown_unit}]",
+            figure.text(one),
+            figure.text(other),
+            f"{other / one:.3g}" if one else "-",
+        ]
+        for (name, figure), one, other in zip(
+            FIGURES.items(), given.figures.values(), chosen.figures.values(), strict=True
+        )
+        if name != "clearance"
     ]
     note = f"Worst of all robots within the bands; the motion may enter the keep-out region by {1e3 * result.goals.wishes.margin:g} mm."
     return Table("Planned motion", ["", *NAMES, "ratio"], rows, note)
 
 
-FIGURES_SHOWN = ("Time [s]", "Residual [µm]", "Torque [N·m]", "RMS [N·m]", "Power [W]", "Energy [J]")
-"""Header of the figures that several tables have."""
+SHOWN = ("time", "residual", "torque", "rms_torque", "power", "energy", "jerk", "off_path")
+"""Figures that tables of several motions have."""
 
 
-def _shown(found: Assessment) -> list[str]:
-    """The figures of `FIGURES_SHOWN`."""
-    others = (found.torque, found.rms_torque, found.power, found.energy)
-    return [f"{found.time:.4g}", f"{1e6 * found.residual:.3g}", *(f"{value:.4g}" for value in others)]
+def headings(figures: Sequence[str] = SHOWN) -> list[str]:
+    """Headings of the columns of figures."""
+    return [FIGURES[name].heading for name in figures]
+
+
+def _shown(found: Assessment, figures: Sequence[str] = SHOWN) -> list[str]:
+    """The cells of these columns."""
+    return [FIGURES[name].text(getattr(found, name)) for name in figures]
 
 
 def ways_table(result: PlanResult) -> Table:
@@ -279,11 +272,11 @@ def ways_table(result: PlanResult) -> Table:
         for name, each in zip(NAMES, pair, strict=True):
             masses = [peaks.variation.payload for peaks in each.peaks]
             payloads = dict.fromkeys(f"{mass:.4g}" for mass in (min(masses), max(masses)))
-            rows.append([f"{number}, {name}", " to ".join(payloads), *_shown(each)])
+            rows.append([f"{number}, {name}", " to ".join(payloads), *_shown(each, SHOWN[:6])])
     pauses = ", ".join(f"{goals.pause:g} s" for goals in result.goals.ways)
     return Table(
         "Ways of the cycle",
-        ["Way", "Payloads [kg]", *FIGURES_SHOWN],
+        ["Way", "Payloads [kg]", *headings(SHOWN[:6])],
         rows,
         f"Each from rest, the worst of its payloads; pauses after them: {pauses}.",
     )
@@ -305,25 +298,23 @@ def limits_table(found: Assessment) -> Table:
 def front_table(result: PlanResult) -> Table:
     """The front and the motions to compare with, the fastest first."""
     rows = [
-        [
-            each.candidate.label, each.candidate.method, *_shown(each), f"{each.jerk:.4g}", f"{1e3 * each.off_path:.3g}", standing(result, each),
-        ]
-        for each in result.table
-    ]  # fmt: skip
+        [each.candidate.label, each.candidate.method, *_shown(each), standing(result, each)] for each in result.table
+    ]
     note = f"No other motion found beats one of these in every figure of {', '.join(result.axes)}."
     if len(result.table) > len(result.front):
         note = "Motions that no other one beats in every figure, and for comparison those of other planners and files."
-    return Table(
-        "Pareto front", ["Motion", "Method", *FIGURES_SHOWN, "Jerk [rad/s³]", "Off path [mm]", "Limits"], rows, note
-    )
+    return Table("Pareto front", ["Motion", "Method", *headings(), "Limits"], rows, note)
 
 
 def tried_table(result: PlanResult) -> Table:
     """All motions that were tried, those nearest to the limits first."""
     tried = sorted(result.assessed, key=lambda each: (each.excess, each.time))
-    rows = [[each.candidate.label, each.candidate.method, *_shown(each)[:2], standing(result, each)] for each in tried]
+    rows = [
+        [each.candidate.label, each.candidate.method, *_shown(each, SHOWN[:2]), standing(result, each)]
+        for each in tried
+    ]
     note = "Of what is missed, the largest share of its limit."
-    return Table("Motions that were tried", ["Motion", "Method", *FIGURES_SHOWN[:2], "Limits"], rows, note)
+    return Table("Motions that were tried", ["Motion", "Method", *headings(SHOWN[:2]), "Limits"], rows, note)
 
 
 def standing(result: PlanResult, found: Assessment) -> str:
@@ -355,11 +346,9 @@ def _front_plot(result: PlanResult) -> Plot:
     along, *names_drawn = result.axes
     figures = dict[str, list[float]]()
     for name in names_drawn:
-        factor, unit = DRAWN.get(name, (1.0, shown_unit(FIGURES[name][1])))
-        values = [factor * getattr(each, name) for each in result.table]
-        figures[f"{name.replace('_', ' ')}\n[{unit}]"] = (
-            [max(each, LEAST) for each in values] if name == "residual" else values
-        )
+        values = [FIGURES[name].factor * getattr(each, name) for each in result.table]
+        label = f"{name.replace('_', ' ')}\n[{FIGURES[name].shown_unit}]"
+        figures[label] = [max(each, LEAST) for each in values] if name == "residual" else values
     panels, names = list[Panel](), {id(result.given): "given", id(result.chosen): "chosen"}
     for label, values in figures.items():
         curves = []
@@ -384,14 +373,7 @@ def _front_plot(result: PlanResult) -> Plot:
         panel = Panel(label=label, curves=curves, markers=markers, is_function=False, logarithmic=scale, level=level)
         panels.append(panel)
     caption = "The motions of the table. Dashed: the limit of the residual vibration."
-    return Plot(
-        "front",
-        "Pareto front",
-        caption,
-        tuple(panels),
-        f"{along.replace('_', ' ')} [{shown_unit(FIGURES[along][1])}]",
-        330.0,
-    )
+    return Plot("front", "Pareto front", caption, tuple(panels), FIGURES[along].heading, 330.0)
 
 
 def _path_plot(goals: Goals, runs: Sequence[Run], way: str = "") -> Plot:
@@ -436,8 +418,7 @@ def _within(outline: RealArray, view: RealArray) -> RealArray:
 def _references_plot(result: PlanResult, runs: Sequence[Run], way: str = "") -> Plot:
     """Speed, acceleration and jerk of the joint references, with their limits."""
     panels = list[Panel]()
-    kinds = (("speed", "rad/s"), ("acceleration", "rad/s²"), ("jerk", "rad/s³"))
-    for order, (name, unit) in enumerate(kinds, start=1):
+    for order, name in enumerate(RATES, start=1):
         curves = []
         for motion, colour, run in zip(NAMES, COLOURS, runs, strict=True):
             joints = run.plan.joints
@@ -448,6 +429,6 @@ def _references_plot(result: PlanResult, runs: Sequence[Run], way: str = "") -> 
                 curves.append(Curve(instants, values[:, joint], label, colour, dashes=dashes))
         usual = np.array(result.given.references[order - 1])
         level = float(result.goals.limit(name, usual)) if name in result.goals.limits else None
-        panels.append(Panel(label=f"{name}\n[{unit}]", curves=curves, level=level))
+        panels.append(Panel(label=f"{name}\n[{FIGURES[name].shown_unit}]", curves=curves, level=level))
     caption = "Both joints of both motions. Dashed: the limit, where it is near."
     return Plot(f"planned-references{way[-1:]}", f"Joint references{way}", caption, tuple(panels), height=330.0)

@@ -20,7 +20,7 @@ from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.design.plans.sampled_loop import with_learned_torques
 from flexfmu.cosim.design.plans.search import search
 from flexfmu.cosim.engine.errors import CosimError, InputError
-from flexfmu.cosim.engine.showing import Rows, ShowProgress, quiet, shown_unit
+from flexfmu.cosim.engine.showing import Rows, ShowProgress, quiet
 from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.timing import processor_time
@@ -43,12 +43,6 @@ number of processes and where to show progress to all candidates that are tried,
 
 FRONT = ("time", "residual", "torque", "energy", "off_path")
 """Figures that the Pareto front weighs against each other."""
-
-MORE = ("rms_torque", "power", "jerk")
-"""Further figures of tables."""
-
-DRAWN: Mapping[str, tuple[float, str]] = {"residual": (1e6, "µm"), "off_path": (1e3, "mm")}
-"""Figures that diagrams have in another unit: factor and unit."""
 
 BINDING = 0.98
 """Used share of a limit from which on the verdict names it."""
@@ -95,8 +89,10 @@ class PlanResult(Rows):
         lines = [f"PlanResult of {self.goals.scene.name}: {self.chosen.candidate.label}"]
         chosen, given = self.chosen.metrics, self.given.metrics
         for name in (*FRONT, "rms_torque", "power"):
-            unit = shown_unit(chosen[name].unit)
-            lines.append(f"  {name}: {chosen[name]:.4g} {unit} (given {given[name]:.4g} {unit})")
+            figure = FIGURES[name]
+            lines.append(
+                f"  {name}: {figure.text(chosen[name])} {figure.shown_unit} (given {figure.text(given[name])})"
+            )
         return "\n".join([*lines, f"  {self.verdict}"])
 
     @cached_property
@@ -181,7 +177,7 @@ class PlanResult(Rows):
 
     def row_units(self) -> Mapping[str, str]:
         """Figure → unit."""
-        return {name: FIGURES[name][1] for name in (*FRONT, *MORE)}
+        return {name: figure.unit for name, figure in FIGURES.items()}
 
     def plot(self) -> Figure:
         """What all motions need: each figure of the front over its first one; those that miss a limit are hollow."""
@@ -195,26 +191,26 @@ class PlanResult(Rows):
         ]
         with style():
             rows = (len(names) + 1) // 2
-            figure = draw(9.0, 2.8 * max(rows, 1.5))
-            grid = figure.subplots(rows, min(len(names), 2), sharex=True, squeeze=False).ravel()
+            drawing = draw(9.0, 2.8 * max(rows, 1.5))
+            grid = drawing.subplots(rows, min(len(names), 2), sharex=True, squeeze=False).ravel()
             for axes, name in zip(grid, names, strict=True):
-                factor, unit = DRAWN.get(name, (1.0, shown_unit(FIGURES[name][1])))
+                figure = FIGURES[name]
                 for group, sign, size, colour, label in groups:
                     for each in group:
                         place, face = (
-                            (getattr(each, along), factor * getattr(each, name)),
+                            (getattr(each, along), figure.factor * getattr(each, name)),
                             colour if each.feasible else "none",
                         )
                         axes.plot(*place, sign, markersize=size, color=colour, markerfacecolor=face, label=label)
                 values = [getattr(each, name) for each in (*self.assessed, self.given)]
                 if max(values) > MANY * min(values) > 0.0:
                     logarithmic(axes)
-                axes.set_title(f"{FIGURES[name][0]} [{unit}]", fontsize=8.5)
+                axes.set_title(f"{figure.label} [{figure.shown_unit}]", fontsize=8.5)
             for axes in grid[-2:]:
-                axes.set_xlabel(f"{along.replace('_', ' ')} [{shown_unit(FIGURES[along][1])}]")
-            figure.axes[0].legend(fontsize=8)
-            figure.suptitle(f"{self.goals.scene.name}: motions that were tried; hollow: misses a limit", fontsize=10)
-        return figure
+                axes.set_xlabel(FIGURES[along].heading)
+            drawing.axes[0].legend(fontsize=8)
+            drawing.suptitle(f"{self.goals.scene.name}: motions that were tried; hollow: misses a limit", fontsize=10)
+        return drawing
 
     def rows(self) -> list[dict[str, Any]]:
         """The front, and motions to compare with, as rows: label, method, figures, and whether all limits are kept."""
@@ -222,7 +218,7 @@ class PlanResult(Rows):
             {
                 "motion": each.candidate.label,
                 "method": each.candidate.method,
-                **{name: float(getattr(each, name)) for name in (*FRONT, *MORE)},
+                **each.figures,
                 "torque_ratio": float(each.torque_ratio),
                 "feasible": each.feasible,
             }

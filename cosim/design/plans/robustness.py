@@ -127,7 +127,7 @@ def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOW
             lines[f"{RICHEST}, {name}"] = partial(_assessed, fixed, goals, richest, stiffness, damping)
     lines["finite elements"] = partial(_by_elements, fixed, goals)
     if goals.loop is None:
-        lines |= {name: partial(_in_a_loop, controllers, fixed, goals) for name, controllers in LOOPS.items()}
+        lines |= {name: partial(_usual_loop, controllers, fixed, goals) for name, controllers in LOOPS.items()}
     else:
         loop = with_learned_torques(goals.loop, candidate.joints, goals.scene.trajectory.dwell)
         lines |= {
@@ -193,29 +193,25 @@ def _other_payload(mass: float, fixed: Candidate, loop: Scene, name: str) -> Rob
     """The scene's own loop with a payload that its feedforward doesn't know."""
     payload = {"kind": "payload-error", "relative": mass / loop.payload.mass - 1.0} if loop.payload.mass else None
     imperfections = loop.model_dump(exclude_none=True).get("imperfection", ())
-    run = loop_run(
-        loop.replace({"imperfection": [*imperfections, payload]}) if payload else loop,
-        fixed.joints,
-        fixed.scene.trajectory.dwell,
-    )
-    note = f"tracking error {1e3 * tracking_error(run):.3g} mrad"
-    return RobustnessLine(name, float(run.metrics["residual_vibration_amplitude"]), f"{mass:g} kg", note=note)
+    scene = loop.replace({"imperfection": [*imperfections, payload]}) if payload else loop
+    return _in_a_loop(scene, fixed, name, f"{mass:g} kg", fixed.scene.trajectory.dwell)
 
 
-def _in_a_loop(controllers: Sequence[Mapping[str, Any]], fixed: Candidate, goals: Goals, name: str) -> RobustnessLine:
+def _usual_loop(controllers: Sequence[Mapping[str, Any]], fixed: Candidate, goals: Goals, name: str) -> RobustnessLine:
     """Motors that follow by a loop with encoders."""
-    scene = goals.scene.replace(
-        {
-            "cosimulation.drive": "torque",
-            "effects.motor_inertia": goals.scene.effects.motor_inertia or MOTOR_INERTIA,
-            "controller": [{"sample_time": SAMPLE_TIME, **each} for each in controllers],
-            "imperfection": [{"kind": "encoder", "counts_per_turn": COUNTS}],
-            "shaper": [],
-            "filter": [],
-        }
-    )
-    run = loop_run(scene, fixed.joints)
-    return RobustnessLine(
-        name, float(run.metrics["residual_vibration_amplitude"]), f"{scene.payload.mass:g} kg",
-        note=f"encoders of {COUNTS:.0e} counts, tracking error {1e3 * tracking_error(run):.3g} mrad",
-    )  # fmt: skip
+    changes = {
+        "cosimulation.drive": "torque",
+        "effects.motor_inertia": goals.scene.effects.motor_inertia or MOTOR_INERTIA,
+        "controller": [{"sample_time": SAMPLE_TIME, **each} for each in controllers],
+        "imperfection": [{"kind": "encoder", "counts_per_turn": COUNTS}],
+        "filter": [],
+    }
+    line = _in_a_loop(goals.scene.replace(changes), fixed, name, f"{goals.scene.payload.mass:g} kg")
+    return replace(line, note=f"encoders of {COUNTS:.0e} counts, {line.note}")
+
+
+def _in_a_loop(scene: Scene, fixed: Candidate, name: str, where: str, dwell: float = 0.0) -> RobustnessLine:
+    """The line of a scene's loop."""
+    run = loop_run(scene, fixed.joints, dwell)
+    note = f"tracking error {1e3 * tracking_error(run):.3g} mrad"
+    return RobustnessLine(name, float(run.metrics["residual_vibration_amplitude"]), where, note=note)

@@ -114,7 +114,9 @@ def search(judge: Judge, found: Sequence[Assessment], processes: int, show: Show
             order = [int(k) for k in np.argsort(costs, kind="stable") if costs[k] < inf]
             best = [going[k] for k in order]
             if number == 0:
-                going = best[:KEPT] + [study.with_corners(each) for each in best[:LAST]]
+                # with the other corners
+                other = [replace(each, family=replace(each.family, blend=CORNERS[1])) for each in best[:LAST]]
+                going = best[:KEPT] + other
                 going += [study.near(each, random) for each in best[:1]]
             else:
                 going = best[:LAST]
@@ -185,10 +187,6 @@ class MotionStudy:
         payloads = sum(set(each.changes) <= {"payload.mass"} for each in self.way.robots)
         return [*spread(payloads, min(count, payloads)), *range(payloads, len(self.way.robots))]
 
-    def with_corners(self, motion: FamilyMotion) -> FamilyMotion:
-        """A motion with the other corners."""
-        return replace(motion, family=replace(motion.family, blend=CORNERS[1]))
-
     def near(self, motion: FamilyMotion, random: np.random.Generator) -> FamilyMotion:
         """A motion whose path and frequencies differ a little."""
         numbers = motion.numbers + SPREAD * random.standard_normal(len(motion.numbers)) * motion.family.are_free
@@ -211,7 +209,7 @@ def study_of(goals: Goals, given: Assessment, payloads: int = FINAL[0]) -> Motio
     if not isinstance(section, TrajectorySection):
         raise InputError(f"scene {scene.name} has a motion from a table, and no path whose corners could change")
     robots = [RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in goals.variations(payloads)]
-    (way,), loads = limited(goals, given, [([robots], np.arange(len(robots)))], walls=True)
+    (way,), loads = limited(goals, given, [(robots, np.arange(len(robots)))], walls=True)
     wishes, usual = goals.wishes, goals.wishes.duration or goals.given.once.duration
     if wishes.minimise == "residual":
         way = replace(way, limits=replace(way.limits, residual=NONE * way.limits.residual))

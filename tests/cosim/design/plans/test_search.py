@@ -17,7 +17,7 @@ import pytest
 
 from flexfmu.cosim.design.plans import search as module
 from flexfmu.cosim.design.plans.assessment import Assessment, Judge
-from flexfmu.cosim.design.plans.designs import Design, FamilyMotion, ShaperChoice, polynomial, references
+from flexfmu.cosim.design.plans.designs import Design, FamilyMotion, polynomial, references
 from flexfmu.cosim.design.plans.goals import Goals, goals_of
 from flexfmu.cosim.design.plans.search import MotionStudy, search, study_of
 from flexfmu.cosim.engine.errors import InputError, ResultsError
@@ -27,6 +27,7 @@ from flexfmu.cosim.many.executor import mapping
 from flexfmu.model.reference_design.optimal_control import GROUPS, Stage
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.profiles import PROFILES, evaluate_profile
+from flexfmu.trajectories.shapers.sequence import Oscillator
 
 SCENE = load_scene("barnard2012-0.1kg").replace({f"plan.limits.{name}": "free" for name in ("power", "rms_torque")})
 
@@ -51,8 +52,8 @@ def silent(text: str, fraction: float | None) -> None:
 
 
 SHAPED = {
-    "two": (ShaperChoice("zvd", 70.0, 0.02), ShaperChoice("zv", 90.0, 0.02)),
-    "one": (ShaperChoice("ei", 70.0, 0.02),),
+    "two": (("zvd", Oscillator(70.0, 0.02)), ("zv", Oscillator(90.0, 0.02))),
+    "one": (("ei", Oscillator(70.0, 0.02)),),
     "none": (),
 }
 
@@ -62,8 +63,9 @@ def test_references_are_those_of_the_scene_that_is_written(number: str) -> None:
     law = polynomial((0.1, 0.2, -0.1, 0.1))
     chosen = Design("polar", (0.024, 0.05), 0.03, law, SHAPED[number], 0.2)
     planned = loop_of(SCENE.replace(chosen.changes)).motion.joints
-    assert chosen.total == pytest.approx(planned.duration, rel=1e-12)
-    time = np.linspace(0.0, chosen.total, 301)
+    total = chosen.duration + chosen.sequence.duration
+    assert total == pytest.approx(planned.duration, rel=1e-12)
+    time = np.linspace(0.0, total, 301)
     for values, expected in zip(references(SCENE, chosen, time), planned.evaluate(time, 2, "left"), strict=True):
         assert np.abs(values - expected).max() < 1e-4 * np.abs(expected).max()
 
