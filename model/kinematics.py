@@ -80,12 +80,12 @@ class RigidKinematics:
 
         It is negative in the other assembly mode, and NaN out of reach.
         """
-        elbow1, elbow2 = self._elbows(position)
+        elbow1, elbow2 = self.elbows(position)
         line, arm = elbow2 - elbow1, position - elbow1
         side = 1.0 if self.mechanism.assembly_mode == "left" else -1.0
         return np.asarray(side * (line[:, 0] * arm[:, 1] - line[:, 1] * arm[:, 0]) / self.mechanism.distal.length**2)
 
-    def _elbows(self, position: RealArray) -> list[RealArray]:
+    def elbows(self, position: RealArray) -> list[RealArray]:
         """Elbow points (N, 2) [m] of both legs, NaN out of reach."""
         proximal, distal = self.mechanism.proximal.length, self.mechanism.distal.length
         elbows = []

@@ -25,7 +25,13 @@ class Ratio(Section):
     ratio: Annotated[float, quantity("1", gt=0.0)]
 
 
-class BoxRegion(Section):
+class RegionSection(Section):
+    """A region that the end effector stays out of; with ``links`` the links too."""
+
+    links: bool = False
+
+
+class BoxRegion(RegionSection):
     """A rectangle with its sides along x and y, between two opposite corners."""
 
     kind: Literal["box"]
@@ -46,7 +52,7 @@ class BoxRegion(Section):
         return (x, y), (X, y), (X, Y), (x, Y)
 
 
-class PolygonRegion(Section):
+class PolygonRegion(RegionSection):
     """A polygon by its corners, in any sense of rotation."""
 
     kind: Literal["polygon"]
@@ -90,7 +96,7 @@ FAR = 10.0
 """How far a region without an end reaches [m]."""
 
 
-class HeightRegion(Section):
+class HeightRegion(RegionSection):
     """All that is above, or below, a height for |x - center| < half_width."""
 
     kind: Literal["above", "below"]

@@ -10,6 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from flexfmu.model.kinematics import RigidKinematics
+from flexfmu.model.scene.assembly import bases
+from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.trajectories.jets import RealArray
 
 FEW = 50
@@ -79,6 +82,37 @@ class Polygon:
         sign = np.where(np.einsum("nj,nj->n", away, normal) < 0.0, -1.0, 1.0)
         gradient = away * (sign / np.maximum(distance, TOUCHING))[:, None]
         return sign * distance, np.where((distance > TOUCHING)[:, None], gradient, normals[chosen])
+
+    def of_segments(self, start: RealArray, end: RealArray) -> tuple[RealArray, RealArray, RealArray]:
+        """Distances (N,) [m] of segments between points (N, 2), and their gradients by both points (N, 2).
+
+        A segment that is partly inside is as far from it as it would have to move sideways, negative.
+        """
+        line = end - start
+        length = np.hypot(*line.T)[:, np.newaxis]
+        normal = np.stack([-line[:, 1], line[:, 0]], axis=-1) / length
+        away = self.corners - start[:, np.newaxis]
+        offset = np.einsum("nkj,nj->nk", away, normal)
+        along = np.einsum("nkj,nj->nk", away, line) / length**2
+        # beside a corner, or at an end
+        beside = np.where((along > 0.0) & (along < 1.0), np.abs(offset), np.inf)
+        ends, slopes = (np.stack(each) for each in zip(self.distance(start), self.distance(end), strict=True))
+        rows, corner, tip = np.arange(len(start)), beside.argmin(axis=1), ends.argmin(axis=0)
+        is_corner = beside[rows, corner] < ends.min(axis=0)
+        # sides whose ends lie on both sides of the line cross it, within the segment or beyond
+        other, further = np.roll(offset, -1, axis=1), np.roll(along, -1, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            place = along + (further - along) * offset / (offset - other)
+        crosses = ((offset * other < 0.0) & (place > 0.0) & (place < 1.0)).any(axis=1) | (ends < 0.0).any(axis=0)
+        aside = np.where(offset.max(axis=1) < -offset.min(axis=1), offset.argmax(axis=1), offset.argmin(axis=1))
+        corner = np.where(crosses, aside, corner)
+        height, share = offset[rows, corner], np.clip(along[rows, corner], 0.0, 1.0)
+        sideways = np.where(crosses, 1.0, -1.0)[:, np.newaxis] * np.sign(height)[:, np.newaxis] * normal
+        distance = np.where(crosses, -np.abs(height), np.where(is_corner, np.abs(height), ends.min(axis=0)))
+        is_corner |= crosses
+        share = np.where(is_corner, share, tip)[:, np.newaxis]
+        gradient = np.where(is_corner[:, np.newaxis], sideways, slopes[tip, rows])
+        return distance, (1.0 - share) * gradient, share * gradient
 
     def stretches(self, points: RealArray) -> list[Stretch]:
         """Where a way, straight between points (N, 2), is within the polygon, however thin that is there."""
@@ -161,12 +195,16 @@ class Clearance:
         regions: polygons.
         origins, normals: of lines, (L, 2) [m] and unit vectors; the side that the normal points to is allowed.
         thin: whether regions may be thinner than the distance of a way's points.
+        for_links: those regions that links keep clear of too: rigid ones, round, from the bases by the elbows to the end effector.
+        mechanism: has the links.
     """
 
     regions: tuple[Polygon, ...]
     origins: RealArray
     normals: RealArray
     thin: bool = False
+    for_links: tuple[Polygon, ...] = ()
+    mechanism: Mechanism | None = None
 
     def distances(self, points: RealArray) -> tuple[RealArray, RealArray]:
         """Distances (K, ...) [m] of points (..., 2) to each region and line, negative where the point must not be, and gradients (K, ..., 2)."""
@@ -174,10 +212,34 @@ class Clearance:
         found = [region.distance(flat) for region in self.regions]
         for origin, normal in zip(self.origins, self.normals, strict=True):
             found.append(((flat - origin) @ normal, np.broadcast_to(normal, flat.shape)))
+        if self.for_links:
+            found += self._of_links(flat)
         if not found:
             return np.full((1, *points.shape[:-1]), np.inf), np.zeros((1, *points.shape))
         distance, gradient = (np.array(each) for each in zip(*found, strict=True))
         return distance.reshape(-1, *points.shape[:-1]), gradient.reshape(-1, *points.shape)
+
+    def _of_links(self, points: RealArray) -> list[tuple[RealArray, RealArray]]:
+        """Distances and gradients of the links at places of the end effector; infinite out of reach."""
+        assert self.mechanism is not None
+        found, robot = list[tuple[RealArray, RealArray]](), self.mechanism
+        for base, elbow in zip(bases(robot), RigidKinematics(robot).elbows(points), strict=True):
+            # lengths stay: the elbow turns about its base, as far as its distance from the end effector needs
+            turning = np.stack([-(elbow - base)[:, 1], (elbow - base)[:, 0]], axis=-1)
+            arm = elbow - points
+            with np.errstate(divide="ignore", invalid="ignore"):
+                by = (
+                    turning[:, :, np.newaxis]
+                    * (arm / np.einsum("nj,nj->n", arm, turning)[:, np.newaxis])[:, np.newaxis]
+                )
+            for region in self.for_links:
+                distance, _, slope = region.of_segments(np.broadcast_to(base, points.shape), elbow)
+                proximal = distance - 0.5 * robot.proximal.diameter, np.einsum("nj,njk->nk", slope, by)
+                distance, of_elbow, slope = region.of_segments(elbow, points)
+                distal = distance - 0.5 * robot.distal.diameter, np.einsum("nj,njk->nk", of_elbow, by) + slope
+                for distance, gradient in (proximal, distal):
+                    found.append((np.where(np.isnan(distance), np.inf, distance), np.nan_to_num(gradient)))
+        return found
 
     def of_ways(self, ways: RealArray) -> tuple[RealArray, RealArray]:
         """The same for points of ways (P, N, 2), where what a way passes through counts by the way around it, with gradients of zero."""
@@ -205,6 +267,11 @@ class Clearance:
         for each in self._stretches(points):
             number = round(each.deepest)
             found[number] = min(found[number], -each.depth if each.depth > margin else -max(each.depth, each.around))
+        if self.for_links:
+            # corners pass links between the points
+            nearest = int(found.argmin())
+            around = np.linspace(max(nearest - 1, 0), min(nearest + 1, len(points) - 1), REFINED)
+            found[nearest] = min(found[nearest], float(self.distance(_at(points, around)).min()))
         return found
 
     def passage(self, points: RealArray) -> float:

@@ -327,9 +327,10 @@ def peak_rates(joints: Trajectory, instants: int) -> RealArray:
 def _clearance(scene: Scene, wishes: PlanSection) -> Clearance:
     """Regions that the scene names, or what its own motion clears."""
     if wishes.keep_out is not None:
-        return Clearance(
-            tuple(Polygon.of(each.outline) for each in wishes.keep_out), np.empty((0, 2)), np.empty((0, 2)), thin=True
-        )
+        regions = [Polygon.of(each.outline) for each in wishes.keep_out]
+        linked = tuple(region for region, each in zip(regions, wishes.keep_out, strict=True) if each.links)
+        none = np.empty((0, 2))
+        return Clearance(tuple(regions), none, none, True, linked, scene.mechanism)
     motion = plan(scene)
     trace = _trace(motion)
     # how far the heaviest payload sags at the ends of the motion, in any direction [m]
@@ -368,8 +369,8 @@ def _check(goals: Goals) -> None:
         distance = float(goals.clearance.distance(point[None])[0])
         if distance < -goals.wishes.margin:
             raise InputError(
-                f"`plan.keep_out` contains the {name} of the motion, ({point[0]:g}, {point[1]:g}) m, {1e3 * -distance:.3g} mm "
-                f"within its outline: make the region smaller"
+                f"`plan.keep_out` contains the {name} of the motion, ({point[0]:g}, {point[1]:g}) m, or with `links` one of them there, "
+                f"{1e3 * -distance:.3g} mm within its outline: make the region smaller"
             )
     _check_way(goals)
     check_holding_torque(goals)

@@ -15,6 +15,7 @@ from flexfmu.cosim.design.plans.assessment import Candidate, Judge
 from flexfmu.cosim.design.plans.clearance import Clearance, Polygon, clearance_of_trace
 from flexfmu.cosim.design.plans.goals import LEAST_DWELL, checked_goals, goals_of
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.jets import RealArray
@@ -162,6 +163,52 @@ def test_distances_from_outlines_and_their_gradients(seed: int) -> None:
     smooth = np.abs(np.hypot(*slope.T) - 1.0) < 1e-5
     assert smooth.mean() > 0.98
     assert gradient[smooth] == pytest.approx(slope[smooth], abs=1e-4)
+
+
+@settings(max_examples=50)
+@given(st.integers(0, 10_000))
+def test_distances_of_segments_and_their_gradients(seed: int) -> None:
+    """Those of the nearest of many points; negative where one is inside, and then moving that far sideways is enough."""
+    random = np.random.default_rng(seed)
+    polygon, (start, end) = Polygon.of(star(random)), random.uniform(-1.5, 1.5, (2, 200, 2))
+    distance, by_start, by_end = polygon.of_segments(start, end)
+    share = np.linspace(0.0, 1.0, 801)
+    points = start[:, None] + share[:, None] * (end - start)[:, None]
+    nearest = polygon.distance(points.reshape(-1, 2))[0].reshape(200, -1).min(axis=1)
+    outside = distance > 0.0
+    assert distance[outside] == pytest.approx(nearest[outside], abs=4e-3)
+    assert (nearest[~outside] < 2e-3).all()
+    normal = by_start + by_end
+    assert np.hypot(*normal.T) == pytest.approx(1.0)
+    away = (-distance * (1.0 + 1e-9) + 1e-9)[:, None] * normal
+    assert (polygon.of_segments(start + away, end + away)[0][~outside] > -1e-6).all()
+    random_step = 1e-7 * random.normal(size=(2, 200, 2))
+    change = np.einsum("nj,nj->n", by_start, random_step[0]) + np.einsum("nj,nj->n", by_end, random_step[1])
+    found = polygon.of_segments(start + random_step[0], end + random_step[1])[0] - distance
+    # but where two corners are equally near, or a segment begins to cross; sideways ways of turning ones change by their ends
+    assert (np.abs(found - change)[outside] < 1e-10).mean() > 0.95
+
+
+def test_links_keep_clear_where_regions_say_so() -> None:
+    """A box below an elbow's way is passed by the end effector, and not by the link, by the distance of a brute-force scan and the link's radius."""
+    box = {"kind": "box", "corners": [[-0.36, -0.2], [-0.30, -0.05]]}
+    goals = [goals_of(SCENE.replace({"plan.keep_out": [{**box, "links": each}]})) for each in (False, True)]
+    alone, linked = (each.clearance.distance(goals[0].trace) for each in goals)
+    elbow = RigidKinematics(SCENE.mechanism).elbows(goals[0].trace)[0]
+    share = np.linspace(0.0, 1.0, 4001)[:, None, None]
+    points = np.array([-0.1, 0.0]) + share * (elbow - np.array([-0.1, 0.0]))
+    corners = np.array([[-0.36, -0.2], [-0.30, -0.2], [-0.30, -0.05], [-0.36, -0.05]])
+    brute = signed_distance(corners, points.reshape(-1, 2)).reshape(4001, -1).min(axis=0) - 0.0175
+    assert alone.min() > 0.1
+    assert linked.min() < -0.003
+    assert np.minimum(alone, brute) == pytest.approx(linked, abs=1e-6)
+    # by the end effector's place
+    point, step = goals[0].trace[250:251], 1e-6
+    clearance = goals[1].clearance
+    slope = [
+        (clearance.distance(point + step * e) - clearance.distance(point - step * e))[0] / (2 * step) for e in np.eye(2)
+    ]
+    assert clearance.normal(point)[0] == pytest.approx(slope, rel=1e-4)
 
 
 def test_a_motion_clears_what_it_goes_around() -> None:

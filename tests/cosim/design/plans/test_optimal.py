@@ -235,6 +235,32 @@ def test_a_plan_goes_on_from_an_earlier_one(tmp_path: Path, monkeypatch: pytest.
         plan_scene(CYCLE, before=planned_scenes(tmp_path))
 
 
+@pytest.mark.slow
+def test_a_plan_keeps_links_clear_of_a_box(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The given motion's link dips into it by 4 mm; the planned one passes, at each joint angle of its run, by a scan along the link."""
+    monkeypatch.setattr(method, "INTERVALS", 20)
+    monkeypatch.setattr(method, "fuller_scene", lambda scene: None)
+    box = {"kind": "box", "corners": [[-0.36, -0.2], [-0.30, -0.05]], "links": True}
+    wishes = {
+        "plan.cycle": None,
+        "plan.keep_out": [box, {"kind": "above", "height": 0.305, "half_width": 0.1}],
+        "plan.limits": {"rms_torque": "free", "power": "free"},
+    }
+    result = plan_scene(CYCLE.replace(wishes), methods=["optimal"], robust=False)
+    assert not result.missed
+    depths = list[float]()
+    for each in (result.given, result.chosen):
+        joints = each.candidate.joints
+        angle = joints.evaluate(np.linspace(0.0, joints.duration, 4001), 0, "left")[0, :, 0]
+        share = np.linspace(0.0, 0.24, 2001)[:, np.newaxis]
+        x, y = -0.1 + share * np.cos(angle), share * np.sin(angle)
+        distance = np.hypot(np.maximum(np.maximum(-0.36 - x, x + 0.30), 0.0), np.maximum(y + 0.05, 0.0)).min()
+        depths.append(0.0175 - float(distance))
+    assert depths[0] > 3e-3
+    # links bend by little
+    assert depths[1] < result.goals.wishes.margin + 2e-4
+
+
 def needs_of_cycle(ways: Sequence[tuple[Scene, Trajectory]], share: float) -> dict[str, Any]:
     """What a cycle with this share of its payloads needs, by sums over the samples of fine runs, ways from rest: each joint's or of all."""
     squares, energy, time, residual = np.zeros(2), 0.0, 0.0, 0.0
