@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from html import escape
 from typing import Any, Literal
@@ -95,7 +95,7 @@ class Marker:
     group: str = ""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Panel:
     """What a pair of axes shows.
 
@@ -160,45 +160,34 @@ def draw_chart(
 def _plain(panel: Panel, x_label: str) -> str:
     """Return a picture of a panel without axes, and its limits as text."""
     curves = [each for each in panel.curves if each.width or each.dot]
-    logs = ["x" in panel.logarithmic, "y" in panel.logarithmic]
-
-    def scaled(values: RealArray, is_log: bool) -> RealArray:
-        return np.log10(np.where(values > 0.0, values, np.nan)) if is_log else np.asarray(values, dtype=float)
-
     points = []
     for each in curves:
         chosen = thinned(each.y, PLAIN_POINTS) if panel.is_function else spread(each.y.size, PLAIN_POINTS)
-        points.append((scaled(each.x[chosen], logs[0]), scaled(each.y[chosen], logs[1])))
-    (left, right), (low, high) = (_limits([each[axis] for each in points]) for axis in (0, 1))
+        points.append(np.array([each.x[chosen], each.y[chosen]], dtype=float))
+    for axis in (axis for axis, name in enumerate("xy") if name in panel.logarithmic):
+        for values in points:
+            values[axis] = np.log10(np.where(values[axis] > 0.0, values[axis], np.nan))
+    # in units of the axes: the browser scales
+    joined = np.concatenate([*points, np.zeros((2, 0))], axis=1)
+    finite = joined[:, np.isfinite(joined).all(axis=0)]
+    low, high = (finite.min(axis=1), finite.max(axis=1)) if finite.size else (np.zeros(2), np.ones(2))
+    size = np.where(high > low, high - low, np.where(low != 0.0, np.abs(low), 1.0))
+    ends = [
+        10.0**v if name in panel.logarithmic else v
+        for name, v in zip("xxyy", np.stack([low, high]).T.ravel(), strict=True)
+    ]
+    names = "".join(f", {each}" for each in dict.fromkeys(each.label for each in curves if each.label))
+    said = f"{x_label}: {ends[0]:.4g} to {ends[1]:.4g}; {panel.label}: {ends[2]:.4g} to {ends[3]:.4g}{names}"
+    scale = np.array([300.0, 300.0 if panel.is_to_scale else 120.0]) / (size[0] if panel.is_to_scale else size)
     lines = "".join(
-        f'<polyline points="{" ".join(_points((x - left) / (right - left) * 300, (high - y) / (high - low) * 120))}" '
+        f'<polyline points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in scaled[np.isfinite(scaled).all(axis=1)].tolist())}" '
         f'style="stroke:{curve.colour};opacity:{curve.opacity:g}"/>'
-        for curve, (x, y) in zip(curves, points, strict=True)
+        for curve, values in zip(curves, points, strict=True)
+        for scaled in [(values - [[low[0]], [high[1]]]).T * scale * [1.0, -1.0]]
     )
     shape = "" if panel.is_to_scale else ' preserveAspectRatio="none"'
-    box = f"0 0 300 {300.0 * (high - low) / (right - left):.0f}" if panel.is_to_scale else "0 0 300 120"
-    if panel.is_to_scale:
-        lines = f'<g transform="scale(1 {2.5 * (high - low) / (right - left):.4f})">{lines}</g>'
-    ends = [
-        10.0**v if is_log else v
-        for v, is_log in zip((left, right, low, high), (*logs[:1] * 2, *logs[1:] * 2), strict=True)
-    ]
-    names = ", ".join(dict.fromkeys(each.label for each in curves if each.label))
-    said = f"{x_label}: {ends[0]:.4g} to {ends[1]:.4g}; {panel.label}: {ends[2]:.4g} to {ends[3]:.4g}"
-    return f'<svg class="plain" viewBox="{box}"{shape} role="img" aria-label="{escape(said)}">{lines}</svg><p class="caption">{escape(said)}{escape(f"; {names}" if names else "")}</p>'
-
-
-def _points(x: RealArray, y: RealArray) -> Iterator[str]:
-    for across, down in zip(x.tolist(), y.tolist(), strict=True):
-        if across - across == 0.0 and down - down == 0.0:
-            yield f"{across:.1f},{down:.1f}"
-
-
-def _limits(values: Sequence[RealArray]) -> tuple[float, float]:
-    """Return the smallest and the largest finite value, apart."""
-    finite = np.concatenate([np.zeros(0), *(each[np.isfinite(each)] for each in values)])
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    return (low, high) if high > low else (low - 0.5 * (abs(low) or 1.0), low + 0.5 * (abs(low) or 1.0))
+    box = f'viewBox="0 0 300 {scale[1] * size[1]:.0f}"{shape}'
+    return f'<svg class="plain" {box} role="img" aria-label="{escape(said)}">{lines}</svg><p class="caption">{escape(said)}</p>'
 
 
 def thinned(y: RealArray, most: int = MOST_POINTS) -> NDArray[np.intp]:

@@ -11,7 +11,7 @@ links bend about the straight line from elbow to end effector, the end effector 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import floor, log10
@@ -25,12 +25,9 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.motors import motor_loads
-from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.cosim.metrics.signals import (
     JOINT_POSITIONS,
     POSITION,
-    TIP_DEFLECTIONS,
-    TORQUES,
     deviation_from_point,
     deviation_from_rigid,
     joint_error,
@@ -40,13 +37,12 @@ from flexfmu.cosim.metrics.signals import (
     segments,
 )
 from flexfmu.cosim.reports.chart import DASHES, FIRST, GREY, INK, SECOND, Curve, Marker, Panel, packed
-from flexfmu.cosim.reports.page import WIDTH, Plot
+from flexfmu.cosim.reports.page import HEIGHT, WIDTH, Plot
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 from flexfmu.cosim.reports.work_precision import tried_settings
 from flexfmu.model.beams import Shape, scene_shapes, tip_force_bending
 from flexfmu.model.scene.assembly import bases, elbows
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.curves import Point
 
 FRAMES, DURATION = 401, 6.0
 """Largest number of instants of the animation, and how long it lasts [s]."""
@@ -56,6 +52,9 @@ STUDY_FRAMES, FEW_FRAMES = 121, 41
 
 REFERENCES = ("joint1.reference.position", "joint2.reference.position")
 """Planned angles of the joints."""
+
+LINKS = ((INK, 3.2), (FIRST, 2.2)) * 2
+"""Colour and width of each link, proximal and distal, of both legs."""
 
 LONGEST = 1.2
 """Time before the end of a run that is shown [s]: of several cycles the last, in enough instants for its vibration."""
@@ -108,10 +107,9 @@ class BentRobot:
 
     def data(self) -> dict[str, Any]:
         """Return what the page's script animates."""
-        styles = [("ink", 3.2), ("first", 2.2)] * 2
         chains = [
             {"points": points, "colour": colour, "width": width}
-            for points, (colour, width) in zip(self.links, styles, strict=True)
+            for points, (colour, width) in zip(self.links, LINKS, strict=True)
         ]
         return {
             "count": self.rigid.shape[1],
@@ -223,11 +221,8 @@ def _values(recording: Recording, index: NDArray[np.intp], *names: str) -> RealA
     return np.zeros(index.size) if found is None else recording[found].values[index]
 
 
-PATH_POINTS = 400
-
-POSES = ((0.0, 1.0), (0.5, 0.25), (1.0, 0.5))
-"""Fractions of the duration at which the mechanism is drawn, each with its opacity."""
-
+POSES = (1.0, 0.25, 0.5)
+"""Opacities of the mechanism at start, middle and end of its path."""
 
 POSE = "pose"
 """Class of what is hidden while the mechanism moves."""
@@ -238,41 +233,28 @@ def scene_panel(plan: MotionPlan, robot: BentRobot) -> Panel:
 
     The poses are hidden where the page's script animates the robot.
     """
-    plan = plan.once
-    path = plan.task.evaluate(np.linspace(0.0, plan.duration, PATH_POINTS), 0)[0]
-    path_curve = Curve(path[:, 0], path[:, 1], colour=SECOND, width=1.8, opacity=0.6, is_read=False)
-    curves = [path_curve, Curve(robot.extent[:, 0], robot.extent[:, 1], width=0.0, is_read=False)]
-    markers = [Marker(*_point(path[i]), text=text, offset=(6.0, -6.0)) for i, text in ((0, "start"), (-1, "end"))]
-    # links as lines, elbows and end effector as discs
-    for fraction, opacity in POSES:
-        end = _point(plan.task.evaluate(np.array([fraction * plan.duration]), 0)[0, 0])
-        for base, elbow in zip(bases(plan.scene.mechanism), elbows(plan.scene.mechanism, end), strict=True):
-            curves += [_link(base, elbow, INK, 3.2, opacity), _link(elbow, end, FIRST, 2.2, opacity)]
-            markers.append(Marker(*elbow, size=5.0, opacity=opacity, group=POSE))
-        markers.append(Marker(*end, size=7.0, colour=SECOND, opacity=max(opacity, 0.6), group=POSE))
-    # motors on top
-    for leg, base in enumerate(bases(plan.scene.mechanism), start=1):
+    once = plan.once
+    poses = bent_robot(once, rigid_motion(once), once.scene)
+    (x, y), (width, height), at = poses.rigid[:, -1].T, robot.extent.T, np.linspace(0, poses.time.size - 1, len(POSES))
+    curves = [Curve(x, y, "", SECOND, 1.8, 0.6, is_read=False), Curve(width, height, width=0.0, is_read=False)]
+    ends = (("start", 0), ("end", -1))
+    markers = [Marker(float(x[i]), float(y[i]), text=text, offset=(6.0, -6.0)) for text, i in ends]
+    # links as lines, elbows and end effector as discs, motors on top
+    for points, opacity in zip(poses.rigid[at.astype(int)], POSES, strict=True):
+        for chain, (colour, thickness) in zip(poses.links, LINKS, strict=True):
+            x, y = points[list(chain)].T
+            curves.append(Curve(x, y, "", colour, thickness, opacity, is_read=False, group=POSE))
+            markers.append(Marker(float(x[-1]), float(y[-1]), 5.0, opacity=opacity, group=POSE))
+        x, y = points[-1].tolist()
+        markers.append(Marker(x, y, 7.0, SECOND, max(opacity, 0.6), group=POSE))
+    for leg, base in enumerate(bases(once.scene.mechanism), start=1):
         below = Marker(*base, text=f"motor {leg}", offset=(0.0, 14.0), anchor="middle")
         markers += [Marker(*base, size=10.0, colour=GREY, shape="square"), below]
-    return Panel(
-        label="y [m]", curves=curves, markers=markers, is_to_scale=True, is_function=False, motion=robot.data()
-    )
-
-
-def _link(start: Point, end: Point, colour: str, width: float, opacity: float) -> Curve:
-    x, y = np.array([start, end]).T
-    return Curve(x, y, colour=colour, width=width, opacity=opacity, is_read=False, group=POSE)
-
-
-def _point(position: RealArray) -> Point:
-    return float(position[0]), float(position[1])
+    return Panel("y [m]", curves, markers, is_to_scale=True, is_function=False, motion=robot.data())
 
 
 POINTS = 3000
 """Approximate number of points of a curve, as many as a plot of this size resolves."""
-
-REFERENCES_HEIGHT = 380.0
-"""Height of a plot [pt]."""
 
 BESIDE, BESIDES, LEGEND = 58.0, 42.0, 22.0
 """Space beside and above or below the panel of a plot to scale, and for a legend, about [pt]."""
@@ -282,6 +264,32 @@ STRIP, USUAL_SHAPE = 0.4, 0.55
 
 COLOURS = (FIRST, SECOND)
 """Of the curves of joints and links 1 and 2."""
+
+
+def _both(pattern: str, of: str = "joint") -> dict[str, str]:
+    return {pattern.replace("#", number): f"{of} {number}" for number in "12"}
+
+
+# fmt: off
+SIGNALS: Sequence[tuple[str, str, str, Mapping[str, tuple[float, Mapping[str, str]]]]] = (
+    ("references", "Joint references", "What drives the robot.",
+     {f"{kind}\n[{unit}]": (1.0, _both(f"joint#.reference.{kind}"))
+      for kind, unit in (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s²"))}),
+    ("torques", "Motor torques", "Positive counter-clockwise.", {"torque [N·m]": (1.0, _both("joint#.torque"))}),
+    ("tracking", "Tracking error", "Angle minus planned angle of each motor.",
+     {"error [mrad]": (1e3, _both("joint#.error"))}),
+    ("deflections", "Tip deflections", "Transverse displacement of the proximal links' tips.",
+     {"deflection [mm]": (1e3, _both("link#1.tip_deflection", "link"))}),
+    ("position", "Position error", "Distance of the end effector from the rigid robot's, which tracks its path exactly.",
+     {"error [mm]": (1e3, {"deviation": ""})}),
+    ("acceleration", "Acceleration error", "Norm of the deviation from the rigid robot's acceleration.",
+     {"error [m/s²]": (1.0, {"acceleration": ""})}),
+    ("dwell", "Residual vibration",
+     "Distance from the static equilibrium at the end pose during the dwell, and the settling band.",
+     {"distance [µm]": (1e6, {"vibration": ""})}),
+)
+# fmt: on
+"""Key, title and caption of a plot, and its panels: label → factor, and signals, see `signal_values`, with their names."""
 
 
 def draw_plots(run: Run, end_equilibrium: RealArray | None, frames: int = FRAMES) -> Iterator[Plot]:
@@ -295,7 +303,6 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None, frames: int = FRAMES
     if run.accuracy is not None:
         yield from tried_settings(run.accuracy, run.plan.stop_time)
     # a run that ended at its start has no curves
-    columns = run.recording.columns
     if np.count_nonzero(np.diff(run.recording.time) > 0.0) == 0:
         yield scene_plot(run.plan)
         return
@@ -304,55 +311,85 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None, frames: int = FRAMES
     last = f" in the last {LONGEST:g} s" if np.ptp(run.recording.time) > LONGEST else ""
     caption = f"Path of the end effector{last}; its deviation from the rigid robot × {robot.magnification:g}."
     yield _to_scale("path", "Path", caption, path_panel(run, robot.magnification))
-    yield Plot("references", "Joint references", "What drives the robot.", _references(run), height=REFERENCES_HEIGHT)
-    torques = _pair(run, TORQUES, "joint", "torque [N·m]", 1.0)
-    yield Plot("torques", "Motor torques", "Positive counter-clockwise.", (torques,))
-    yield from motor_plots(run)
-    if all(name in columns for name in JOINT_POSITIONS):
-        errors = [_curve(joint_error(run.recording, joint, run.plan.joints)) for joint in (0, 1)]
-        drawn = [(time, 1e3 * values[:, 0]) for time, values in errors]
-        panel = _both(run, "error [mrad]", "joint", drawn, [f"joint{joint}.error" for joint in (1, 2)], 1e3)
-        yield Plot("tracking", "Tracking error", "Angle minus planned angle of each motor.", (panel,))
-    if any(name in columns for name in TIP_DEFLECTIONS):
-        caption = "Transverse displacement of the proximal links' tips."
-        deflections = _pair(run, TIP_DEFLECTIONS, "link", "deflection [mm]", 1e3)
-        yield Plot("deflections", "Tip deflections", caption, (deflections,))
-    # errors against the rigid robot
-    caption = "Distance of the end effector from the rigid robot's, which tracks its path exactly."
-    deviation = deviation_from_rigid(position(run.recording), run.plan.task)
-    yield Plot("position", "Position error", caption, (_norm(run, deviation, "error [mm]", 1e3, "deviation"),))
-    caption = "Norm of the deviation from the rigid robot's acceleration."
-    moving = deviation.within(0.0, run.plan.duration).resolving_curvature(position_rounding(run.recording))[0]
-    yield Plot(
-        "acceleration",
-        "Acceleration error",
-        caption,
-        (_norm(run, moving, "error [m/s²]", 1.0, "acceleration", order=2),),
-    )
-    # the dwell, if the run reached it
-    if end_equilibrium is not None and deviation.within(run.plan.duration, np.inf).start.size:
-        vibration = deviation_from_point(position(run.recording), end_equilibrium).within(run.plan.duration, np.inf)
-        caption = "Distance from the static equilibrium at the end pose during the dwell, and the settling band."
-        limits = run.plan.duration, float(run.recording.time[-1])
-        panel = _norm(run, vibration, "distance [µm]", 1e6, "vibration")
-        panel = replace(panel, level=1e6 * run.scene.cosimulation.settling_band, limits=limits)
-        yield Plot("dwell", "Residual vibration", caption, (panel,))
-        # spectra of both components, with the natural frequencies
-        time, values = _curve(vibration)
-        found = [(spectrum(time, values[:, axis], run.plan.duration), axis) for axis in (0, 1)]
-        curves = [
-            Curve(each[0], 1e6 * each[1], name, COLOURS[axis], source={"of": f"spectrum {name}", "factor": 1e6})
-            for each, axis in found
-            if each is not None
-            for name in "xy"[axis]
-        ]
-        frequencies = [] if run.rests is None else run.rests.frequencies(run.parameters).tolist()
-        marks = [(frequency, f"{number}") for number, frequency in enumerate(frequencies, start=1)]
-        panel = spectrum_panel("amplitude [µm]", curves, marks, limits[1] - limits[0])
-        caption = spectrum_caption("Deviation of the end effector from the static equilibrium over the dwell")
-        caption += " Dashed: natural frequencies, motors locked." if panel.marks else ""
-        if panel.curves:
-            yield Plot("spectrum", "Spectrum of the residual vibration", caption, (panel,), "frequency [Hz]")
+    for key, title, caption, rows in SIGNALS:
+        panels = list[Panel]()
+        for label, (factor, names) in rows.items():
+            found = {of: signal_values(run, of, end_equilibrium) for of in names}
+            curves = [
+                Curve(each[0], factor * each[1], names[of], colour, source={"of": of, "factor": factor})
+                for (of, each), colour in zip(found.items(), COLOURS, strict=False)
+                if each is not None
+            ]
+            # the end of the motion in the last panel alone
+            panels = [replace(each, marks=()) for each in panels]
+            if curves:
+                panels.append(Panel(label, curves, from_zero=len(names) == 1, marks=_marks(curves[0].x, run)))
+        if key == "dwell" and panels:
+            band, limits = run.scene.cosimulation.settling_band, (run.plan.duration, float(run.recording.time[-1]))
+            panels = [replace(panels[0], level=1e6 * band, limits=limits)]
+        if panels:
+            yield Plot(key, title, caption, tuple(panels), height=HEIGHT if len(panels) == 1 else 2.0 * HEIGHT)
+        if key == "torques":
+            yield from motor_plots(run)
+        if key == "dwell" and panels:
+            yield from _spectrum_plot(run, end_equilibrium)
+
+
+def _spectrum_plot(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
+    """Yield spectra of both components of the residual vibration, with the natural frequencies; nothing where it is too short."""
+    curves = list[Curve]()
+    for axis, name in enumerate("xy"):
+        time, values = signal_values(run, f"vibration {name}", end_equilibrium) or (np.zeros(0), np.zeros(0))
+        if (found := spectrum(time, values, run.plan.duration)) is not None:
+            source = {"of": f"spectrum {name}", "factor": 1e6}
+            curves.append(Curve(found[0], 1e6 * found[1], name, COLOURS[axis], source=source))
+    frequencies = [] if run.rests is None else run.rests.frequencies(run.parameters).tolist()
+    marks = [(frequency, f"{number}") for number, frequency in enumerate(frequencies, start=1)]
+    window = float(run.recording.time[-1]) - run.plan.duration
+    panel = spectrum_panel("amplitude [µm]", curves, marks, window)
+    caption = spectrum_caption("Deviation of the end effector from the static equilibrium over the dwell")
+    caption += " Dashed: natural frequencies, motors locked." if panel.marks else ""
+    if panel.curves:
+        yield Plot("spectrum", "Spectrum of the residual vibration", caption, (panel,), "frequency [Hz]")
+
+
+def signal_values(run: Run, of: str, end_equilibrium: RealArray | None) -> tuple[RealArray, RealArray] | None:
+    """Return times (N,) [s] and values (N,) of what a curve shows, interpolated densely enough for a smooth one.
+
+    Args:
+        run: the run.
+        of: a recorded signal, or as ``Result.curve`` of simulation.js has it: the error of a joint; the deviation of the end effector
+            from the rigid robot's or that of its acceleration, and its vibration about the equilibrium, of which an axis may follow.
+        end_equilibrium: as for `draw_plots`.
+
+    Returns:
+        None where it wasn't recorded.
+    """
+    recording, plan, order = run.recording, run.plan, 0
+    if of.endswith(".error"):
+        joint = int(of[len("joint")]) - 1
+        if JOINT_POSITIONS[joint] not in recording.columns:
+            return None
+        signal = joint_error(recording, joint, plan.joints)
+    elif of == "deviation":
+        signal = deviation_from_rigid(position(recording), plan.task)
+    elif of == "acceleration":
+        moving = deviation_from_rigid(position(recording), plan.task).within(0.0, plan.duration)
+        signal, order = moving.resolving_curvature(position_rounding(recording))[0], 2
+    elif of.startswith("vibration"):
+        if end_equilibrium is None:
+            return None
+        signal = deviation_from_point(position(recording), end_equilibrium).within(plan.duration, np.inf)
+    elif of in recording.columns:
+        signal = segments(recording, [of])
+    else:
+        return None
+    if not signal.start.size:
+        return None
+    time, values = sample(signal, int(np.clip(POINTS // signal.start.size, 2, 20)), order)
+    if of[-2:] in (" x", " y"):
+        return time, values[:, "xy".index(of[-1])]
+    return time, values[:, 0] if values.shape[1] == 1 else np.linalg.norm(values, axis=1)
 
 
 def scene_plot(plan: MotionPlan, robot: BentRobot | None = None) -> Plot:
@@ -366,58 +403,14 @@ def scene_plot(plan: MotionPlan, robot: BentRobot | None = None) -> Plot:
 def _to_scale(key: str, title: str, caption: str, panel: Panel) -> Plot:
     """Return a plot of a panel to scale [m], as high as that is; of one that would be a strip, with axes of their own scales."""
     x, y = (float(np.ptp(np.concatenate([getattr(curve, axis) for curve in panel.curves]))) for axis in "xy")
-    beside = BESIDES + LEGEND * any(curve.label for curve in panel.curves)
-    if x * STRIP <= y <= x / STRIP:
-        return Plot(key, title, caption, (panel,), "x [m]", beside + (WIDTH - BESIDE) * y / x)
-    panel, caption = replace(panel, is_to_scale=False), f"{caption} x and y have different scales."
-    return Plot(key, title, caption, (panel,), "x [m]", beside + (WIDTH - BESIDE) * USUAL_SHAPE)
-
-
-def _references(run: Run) -> tuple[Panel, ...]:
-    """Return reference position, velocity and acceleration of both joints."""
-    panels = []
-    for kind, unit in (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s²")):
-        names = [f"joint{joint}.reference.{kind}" for joint in (1, 2)]
-        values = [(run.recording.time, run.recording[name].values) for name in names]
-        panels.append(_both(run, f"{kind}\n[{unit}]", "joint", values, names))
-    # the mark at the end of the motion in the last alone
-    return (*(replace(each, marks=()) for each in panels[:-1]), panels[-1])
-
-
-def _pair(run: Run, names: tuple[str, ...], of: str, label: str, factor: float) -> Panel:
-    """Return two signals of the same unit, interpolated between the communication points."""
-    found = [_curve(segments(run.recording, [name])) if name in run.recording.columns else None for name in names]
-    drawn = [None if each is None else (each[0], factor * each[1][:, 0]) for each in found]
-    return _both(run, label, of, drawn, names, factor)
-
-
-def _both(
-    run: Run,
-    label: str,
-    of: str,
-    found: Iterable[tuple[RealArray, RealArray] | None],
-    names: Sequence[str],
-    factor: float = 1.0,
-) -> Panel:
-    """Return the curves of joints or links 1 and 2, as far as they are known; they are signals of these names times a factor."""
-    curves = [
-        Curve(*each, f"{of} {number}", colour, source={"of": name, "factor": factor})
-        for number, (each, colour, name) in enumerate(zip(found, COLOURS, names, strict=True), start=1)
-        if each is not None
-    ]
-    return Panel(label=label, curves=curves, marks=_marks(run.recording.time, run))
-
-
-def _norm(run: Run, signal: HermiteSegments, label: str, factor: float, of: str, order: int = 0) -> Panel:
-    """Return the norm of a signal's time derivative of the given order."""
-    time, values = _curve(signal, order)
-    curve = Curve(time, factor * np.linalg.norm(values, axis=1), source={"of": of, "factor": factor})
-    return Panel(label=label, curves=[curve], from_zero=True, marks=_marks(time, run))
-
-
-def _curve(signal: HermiteSegments, order: int = 0) -> tuple[RealArray, RealArray]:
-    """Return times (N,) [s] and values (N, m) of a signal's derivative, dense enough for a smooth curve."""
-    return sample(signal, int(np.clip(POINTS // max(len(signal.start), 1), 2, 20)), order)
+    beside, shape = BESIDES + LEGEND * any(curve.label for curve in panel.curves), y / x
+    if not STRIP <= shape <= 1.0 / STRIP:
+        panel, caption, shape = (
+            replace(panel, is_to_scale=False),
+            f"{caption} x and y have different scales.",
+            USUAL_SHAPE,
+        )
+    return Plot(key, title, caption, (panel,), "x [m]", beside + (WIDTH - BESIDE) * shape)
 
 
 def _marks(time: RealArray, run: Run) -> list[tuple[float, str]]:

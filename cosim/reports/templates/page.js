@@ -313,7 +313,7 @@ const page = (() => {
     draw(line, disc, at) {
       const { count, frame, chains } = this, place = (k, j) => { const [x, y] = this.at(k, j); return [at(x, "x"), at(y, "y")]; };
       line(Array.from({ length: frame + 1 }, (_, k) => place(k, count - 1)), "var(--second)", 1);
-      for (const chain of chains) line(chain.points.map((j) => place(frame, j)), `var(--${chain.colour})`, chain.width);
+      for (const chain of chains) line(chain.points.map((j) => place(frame, j)), chain.colour, chain.width);
       disc(...place(frame, count - 1), 8, "var(--second)");
     }
     stop() { this.playing = false; this.button.textContent = "play"; }

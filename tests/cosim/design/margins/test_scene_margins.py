@@ -129,7 +129,7 @@ def test_the_command_prints_margins_and_draws_pictures(tmp_path: Path) -> None:
     assert page.count('class="tile"') == 6
     found = CliRunner().invoke(app, [*command, "--set", "controller.pd.proportional=5e4"])
     assert found.exit_code == 1
-    assert "The loop is unstable at path 1.00" in found.stdout
+    assert "Unstable at path 1.00" in found.stdout
 
 
 def test_a_function_in_c_is_linearised(tmp_path: Path) -> None:
