@@ -161,6 +161,19 @@ class Study:
             found |= margin_figures(loop_margins(scene, self.band, self.response, self.robots))
         return Trial(values, found)
 
+    def instability(self, trial: Trial) -> str:
+        """Where the loop of a trial is unstable about rest; empty where it isn't, where it has no loop, or none that can be linearised."""
+        scene = self.changed(trial.values)
+        if scene.cosimulation.drive != "torque" or not scene.controller or any(goal.is_margin for goal in self.goals):
+            return ""
+        try:
+            loop_margins(scene, self.band, robots=self.robots)
+        except UnstableLoopError as error:
+            return str(error)
+        except (CosimError, SceneError, TrajectoryError, EquilibriumError):
+            pass
+        return ""
+
     def rank(self, trial: Trial) -> tuple[int, float]:
         """What a trial is sorted by: within all limits by the figure, beyond them by the largest excess, failed ones last."""
         value = self.minimise.of(trial.figures)

@@ -359,10 +359,15 @@ def tune_study(
             interrupted = True
     if not search.done:
         raise KeyboardInterrupt
-    best = min(search.done, key=study.rank)
+    # the best one whose loop is stable about rest, too, which a short run may not show
+    done = [*search.done]
+    best = min(done, key=study.rank)
+    while not interrupted and study.rank(best)[0] < 2 and (reason := study.instability(best)):
+        done[done.index(best)] = replace(best, figures={}, message=reason)
+        best = min(done, key=study.rank)
     if study.rank(best)[0] == 2 and not interrupted:
-        raise ResultsError(f"all {len(search.done)} trials failed, the first one: {search.done[0].message}")
-    return TuneResult(study, search.done[0], best, tuple(search.done), interrupted)
+        raise ResultsError(f"all {len(done)} trials failed, the first one: {done[0].message}")
+    return TuneResult(study, done[0], best, tuple(done), interrupted)
 
 
 def usual_trials(study: Study) -> tuple[int, int]:

@@ -10,6 +10,7 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import flexfmu
 from flexfmu.cosim.design.margins.loop_warnings import loop_sentences
@@ -127,3 +128,15 @@ def test_pages_about_a_scene_have_one_frame() -> None:
         assert "<summary>Effects</summary>" in page, name
     assert pages["compare"].count('class="tile"') == pages["margins"].count('class="tile"') == 6
     assert "<summary>Slaves</summary>" in pages["compare"]
+
+
+@pytest.mark.slow
+def test_a_tuning_never_ends_at_an_unstable_loop() -> None:
+    """Gains just beyond the limit of stability by python-control, where a run has smaller errors than with those that were given."""
+    limit = brentq(lambda damping: growth(5e3, damping) - 1.0, 60.0, 2e3)
+    scene = loop("loop", 5e3, 30.0)
+    tuned = flexfmu.tune(scene, {"pd.kd": (1.0002 * limit, 1.0004 * limit)}, method="sample", trials=3, processes=1)
+    assert tuned.values == {}
+    assert [bool(trial.message) for trial in tuned.trials] == [False, True, True]
+    assert all(trial.message.startswith("the loop is unstable about") for trial in tuned.trials[1:])
+    assert verdict_of(tuned.page()).startswith("RMS tracking error")
