@@ -18,21 +18,18 @@ from flexfmu.cosim.reports.page import FIRST_METRICS, TILES, Figure, Page, Plot,
 from flexfmu.cosim.reports.report import of_scene
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 
+# fmt: off
 SIGNALS: Mapping[str, tuple[str, float, Mapping[str, str]]] = {
-    "Motor torques": ("N·m", 1.0, {"joint1.torque": "joint 1", "joint2.torque": "joint 2"}),
-    "Joint angles": ("rad", 1.0, {"joint1.position": "joint 1", "joint2.position": "joint 2"}),
-    "Position of the end effector": ("m", 1.0, {"end_effector.position.x": "x", "end_effector.position.y": "y"}),
-    "Acceleration of the end effector": (
-        "m/s²",
-        1.0,
-        {"end_effector.acceleration.x": "x", "end_effector.acceleration.y": "y"},
-    ),
-    "Tip deflections": ("mm", 1e3, {"link11.tip_deflection": "link 1", "link21.tip_deflection": "link 2"}),
+    "Motor torques": ("N·m", 1.0, {"joint 1": "joint1.torque", "joint 2": "joint2.torque"}),
+    "Joint angles": ("rad", 1.0, {"joint 1": "joint1.position", "joint 2": "joint2.position"}),
+    "Position of the end effector": ("m", 1.0, {each: f"end_effector.position.{each}" for each in "xy"}),
+    "Acceleration of the end effector": ("m/s²", 1.0, {each: f"end_effector.acceleration.{each}" for each in "xy"}),
+    "Tip deflections": ("mm", 1e3, {"link 1": "link11.tip_deflection", "link 2": "link21.tip_deflection"}),
+    "Position error": ("mm", 1e3, {"error": "deviation"}),
+    "Spectra of the residual vibration": ("µm", 1e6, {"x": "spectrum x", "y": "spectrum y"}),
 }
-"""Heading of a plot → unit of its axes, factor from SI to that, and its signals with their labels."""
-
-SPECTRA = {"end_effector.position.x": "x", "end_effector.position.y": "y"}
-"""Signals whose spectra after the motion are compared, and their labels."""
+# fmt: on
+"""Heading of a plot → unit of its axes, factor from SI to that, and label → what is drawn, see `_values`."""
 
 POINTS, FEWEST = 4000, 40
 """Number of points that the curves of one signal have together, and of one curve at least: they limit the size of the page."""
@@ -209,89 +206,59 @@ def _cell(name: str, measured: Metric, first: Metric, run: int) -> str:
 
 def signal_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
     """Yield a plot for each group of signals that a run has, then the spectra."""
-    for number, (title, (unit, factor, names)) in enumerate(SIGNALS.items()):
-        found = {
-            label: _curves(runs, {"of": name, "factor": factor}, [_values(run.recording, name) for run in runs])
-            for name, label in names.items()
-        }
-        panels = [
-            Panel(label=f"{label}\n[{unit}]", curves=curves, marks=_marks(runs) if i == 0 else ())
-            for i, (label, curves) in enumerate((label, curves) for label, curves in found.items() if curves)
-        ]
-        if panels:
-            yield Plot(
-                f"compared-{number}",
-                title,
-                "Of all runs that have it.",
-                tuple(panels),
-                height=90.0 + 100.0 * len(panels),
-            )
-    deviations = _curves(runs, {"of": "deviation", "factor": 1e3}, [_deviation(run.recording) for run in runs])
-    if deviations:
-        caption = "Distance of the end effector from the rigid robot's at the same time."
-        panel = Panel(label="error [mm]", curves=deviations, from_zero=True, marks=_marks(runs))
-        yield Plot("compared-deviation", "Position error", caption, (panel,))
-    dwells = [run.recording.time[-1] - run.duration for run in runs if run.duration is not None]
-    window = float(min(dwells, default=np.inf)) or np.inf
-    panels = [spectrum_panel(f"{label}\n[µm]", _spectra(runs, name), window=window) for name, label in SPECTRA.items()]
-    panels = [panel for panel in panels if panel.curves]
-    if panels:
-        caption = spectrum_caption("Position of the end effector after the end of the motion")
-        title = "Spectra of the residual vibration"
-        yield Plot("compared-spectra", title, caption, tuple(panels), "frequency [Hz]", 90.0 + 100.0 * len(panels))
-
-
-def _curves(runs: Sequence[ComparedRun], source: Mapping[str, Any], signals: Sequence[RealArray | None]) -> list[Curve]:
-    """Return a signal of all runs that have it, as many points as each curve may have; one that failed as far as it is near the others."""
-    factor, curves = source["factor"], list[Curve]()
-    known = [
-        each for each, run in zip(signals, runs, strict=True) if each is not None and each.size and not run.failure
-    ]
-    low, high = (
-        (float(pick([pick(each) for each in known])) for pick in (np.nanmin, np.nanmax)) if known else (-np.inf, np.inf)
-    )
-    for number, (run, values) in enumerate(zip(runs, signals, strict=True)):
-        if values is None:
-            continue
-        if run.failure and known:
-            values = np.where(abs(values - 0.5 * (low + high)) <= BEYOND * (high - low), values, np.nan)
-        chosen = thinned(values, min(max(POINTS // len(runs), FEWEST), MOST_POINTS))
-        curves.append(_curve(number, run, run.recording.time[chosen], factor * values[chosen], source))
-    return curves
-
-
-def _values(recording: Recording, name: str) -> RealArray | None:
-    return recording[name].values if name in recording.columns else None
-
-
-def _deviation(recording: Recording) -> RealArray | None:
-    """Return the distance of the end effector from the rigid robot's [m]; None where one of them wasn't recorded."""
-    pairs = [(f"end_effector.position.{axis}", f"end_effector.reference.position.{axis}") for axis in "xy"]
-    if not all(name in recording.columns for pair in pairs for name in pair):
-        return None
-    return np.hypot(*(recording[one].values - recording[other].values for one, other in pairs))
-
-
-def _spectra(runs: Sequence[ComparedRun], name: str) -> list[Curve]:
-    """Return the spectra [µm] of a signal [m] after the motion, of all runs that have it for long enough."""
-    curves = []
-    for number, run in enumerate(runs):
-        if run.duration is not None and name in run.recording.columns:
-            found = spectrum(run.recording.time, run.recording[name].values, run.duration)
-            if found is not None:
-                source = {"of": f"spectrum {name[-1]}", "factor": 1e6}
-                curves.append(_curve(number, run, found[0], 1e6 * found[1], source))
-    return curves
-
-
-def _curve(number: int, run: ComparedRun, x: RealArray, y: RealArray, source: Mapping[str, Any]) -> Curve:
-    """Return a curve in the colour of its run."""
-    dashes = DASHED if number >= len(PALETTE) else ""
-    source = {**source, "run": number}
-    return Curve(x, y, run.name, PALETTE[number % len(PALETTE)], dashes=dashes, source=source)
-
-
-def _marks(runs: Sequence[ComparedRun]) -> list[tuple[float, str]]:
-    """Return the mark at the end of the motion, if all runs that say so have the same."""
+    # the end of the motion, if all runs that say so have the same
     ends = {run.duration for run in runs if run.duration is not None}
-    return [(ends.pop(), "end of motion")] if len(ends) == 1 else []
+    marks = [(ends.pop(), "end of motion")] if len(ends) == 1 else []
+    dwells = [float(run.recording.time[-1]) - run.duration for run in runs if run.duration is not None]
+    window = min(dwells, default=np.inf) or np.inf
+    for number, (title, (unit, factor, names)) in enumerate(SIGNALS.items()):
+        panels, caption, x_label = list[Panel](), "Of all runs that have it.", "time [s]"
+        for name, of in names.items():
+            curves, label = _curves(runs, of, factor), f"{name}\n[{unit}]"
+            panel = Panel(label, curves, from_zero=of == "deviation", marks=() if panels else marks)
+            if of.startswith("spectrum"):
+                panel, x_label = spectrum_panel(label, curves, window=window), "frequency [Hz]"
+                caption = spectrum_caption("Position of the end effector after the end of the motion")
+            elif of == "deviation":
+                caption = "Distance of the end effector from the rigid robot's at the same time."
+            panels += [panel] if panel.curves else []
+        if panels:
+            height = 90.0 + 100.0 * len(panels)
+            yield Plot(f"compared-{number}", title, caption, tuple(panels), x_label, height)
+
+
+def _curves(runs: Sequence[ComparedRun], of: str, factor: float) -> list[Curve]:
+    """Return what all runs that have it are drawn by, as many points as a curve may have; of one that failed what is near the others."""
+    found, curves = [_values(run, of) for run in runs], list[Curve]()
+    known = [each[1] for each, run in zip(found, runs, strict=True) if each and each[1].size and not run.failure]
+    low, high = (float(pick([float(pick(each)) for each in known] or [0.0])) for pick in (np.nanmin, np.nanmax))
+    for number, (run, each) in enumerate(zip(runs, found, strict=True)):
+        if each is None:
+            continue
+        x, y = each
+        if not of.startswith("spectrum"):
+            if run.failure and known:
+                y = np.where(abs(y - 0.5 * (low + high)) <= BEYOND * (high - low), y, np.nan)
+            chosen = thinned(y, min(max(POINTS // len(runs), FEWEST), MOST_POINTS))
+            x, y = x[chosen], y[chosen]
+        dashes, source = DASHED if number >= len(PALETTE) else "", {"of": of, "factor": factor, "run": number}
+        colour = PALETTE[number % len(PALETTE)]
+        curves.append(Curve(x, factor * y, run.name, colour, dashes=dashes, source=source))
+    return curves
+
+
+def _values(run: ComparedRun, of: str) -> tuple[RealArray, RealArray] | None:
+    """Return what a curve shows, as ``Result.curve`` of simulation.js: a recorded signal, the distance of the end effector from the rigid
+    robot's, or a spectrum of its position after the motion; None where it wasn't recorded, or for too short a time."""
+    time, columns, position = run.recording.time, run.recording.columns, "end_effector.position."
+    if of == "deviation":
+        pairs = [(f"{position}{axis}", f"end_effector.reference.position.{axis}") for axis in "xy"]
+        if not all(name in columns for pair in pairs for name in pair):
+            return None
+        return time, np.hypot(*(columns[one].values - columns[other].values for one, other in pairs))
+    if of.startswith("spectrum"):
+        name = f"{position}{of[-1]}"
+        return (
+            None if run.duration is None or name not in columns else spectrum(time, columns[name].values, run.duration)
+        )
+    return (time, columns[of].values) if of in columns else None

@@ -107,7 +107,9 @@ class MarginsResult(Rows):
         unstable = [each for each in self.poses if not each.is_stable]
         where = "; ".join(each.place(several) for each in unstable)
         if self.response is not None:
-            return f"Unstable at {where}: by encirclements of its response it has {unstable[0].unstable} unstable poles."
+            return (
+                f"Unstable at {where}: by encirclements of its response it has {unstable[0].unstable} unstable poles."
+            )
         growth = max(pose.poles[0].real for pose in self.poses)
         return (
             f"Unstable at {where}: small motions grow tenfold in {1e3 * log(10.0) / growth:.3g} ms "
