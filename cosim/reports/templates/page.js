@@ -39,7 +39,7 @@ const page = (() => {
 
   class Panel {
     constructor(chart, given, number) {
-      Object.assign(this, { chart, ...given, number, isLast: number === chart.count - 1, curves: given.curves.map(curveOf) });
+      Object.assign(this, { chart, ...given, number, isLast: number === chart.count - 1, curves: given.curves.map((each) => ({ ...curveOf(each), unit: unitOf(given.label) })) });
       this.log = { x: given.logarithmic.includes("x"), y: given.logarithmic.includes("y") };
       if (given.motion) this.motion = new Motion(this, given.motion);
     }
@@ -163,12 +163,12 @@ const page = (() => {
       this.picked = best && [best[0].x[best[1]], best[0].y[best[1]]];
       this.chosen = best && Object.fromEntries(best[0].more.map((name, k) => [name.replace(/ \[.*\]/, ""), best[0].extra[k][best[1]]]));
       this.chart.say(best ? this.told(...best) : "");
-      if (best && best[0].more[0]?.startsWith("time")) page.at(best[0].extra[0][best[1]], this);
+      if (best && best[0].more[0]?.startsWith("time")) page.at(best[0].extra[0][best[1]]);
       u.redraw(false);
     }
     told(c, i) {
       const values = c.more.length ? c.more.map((name, k) => [name, c.extra[k][i]]) : [[this.chart.x, c.x[i]], [this.label.replace("\n", " "), c.y[i]]];
-      return [c.label, ...values.map(([name, v]) => `${name.replace(/ \[.*\]/, "")} ${short(v)} ${unitOf(name)}`), c.notes[i]].filter(Boolean).join(" · ");
+      return [c.label, ...values.map(([name, v]) => `${name.replace(/ \[.*\]/, "")} ${short(v, 5)} ${unitOf(name)}`.trim()), c.notes[i]].filter(Boolean).join(" · ");
     }
     selected({ left, width, top, height }) {
       const { plot: u, chart } = this, x = [u.posToVal(left, "x"), u.posToVal(left + width, "x")];
@@ -246,15 +246,12 @@ const page = (() => {
       for (const chart of this.overTime ? charts.filter((each) => each.overTime) : [this]) { chart.panels.forEach((panel) => panel.show()); chart.isZoomed(false); }
     }
     say(text) { this.said.textContent = text; }
-    // values at x beside the names of the curves, and a line through all panels
-    read(x, isMine = true) {
+    // values at x with their units beside the names of the curves, or in the sentence where these have no names, and a line through all panels
+    read(x) {
       this.place = x;
-      for (const { curves, value } of this.keys) {
-        value.textContent = curves.map((c) => { const i = nearest(c.x, x); return c.x.length ? short(c.y[i], isMine ? 6 : 5) : "–"; }).join(", ");
-      }
-      const named = this.panels.length === 1 ? unitOf(this.panels[0].label) : "";
-      const alone = this.keys.length ? "" : ` · ${short(this.panels[0].curves[0].y[nearest(this.panels[0].curves[0].x, x)])} ${named}`;
-      this.say(`${this.x.replace(/ \[.*/, "")} ${short(x)} ${unitOf(this.x)}${this.keys.length && named ? ` · in ${named}` : alone}`);
+      const said = (c) => (c.x.length ? `${short(c.y[nearest(c.x, x)], 5)} ${c.unit}`.trim() : "–");
+      for (const { curves, value } of this.keys) value.textContent = curves.map(said).join(", ");
+      this.say(`${this.x.replace(/ \[.*/, "")} ${short(x, 4)} ${unitOf(this.x)}${this.keys.length ? "" : ` · ${said(this.panels[0].curves[0])}`}`);
       for (const { plot } of this.panels) plot.setCursor({ left: plot.valToPos(x, "x"), top: -10 }, false);
     }
     pressed(event) {
@@ -341,9 +338,9 @@ const page = (() => {
   return {
     charts, html, short, range,
     /** Shows an instant in all charts over time, and the robot then. */
-    at(time, by) {
+    at(time) {
       for (const chart of charts) {
-        if (chart.overTime) chart.read(clamp(time, ...chart.limits), !by);
+        if (chart.overTime) chart.read(clamp(time, ...chart.limits));
         for (const panel of chart.panels) panel.motion?.show(time);
       }
     },

@@ -170,7 +170,7 @@ def values_in(figure: Any) -> list[float]:
     said = re.search(r"time (\S+) s", figure.locator(".said").inner_text())
     assert said is not None
     texts = [said[1], *figure.locator(".key output").all_inner_texts()]
-    return [float(each.replace("−", "-")) for each in texts]
+    return [float(each.split()[0].replace("−", "-")) for each in texts]
 
 
 def test_pointing_shows_recorded_values_in_all_charts(report: Any, run: Run) -> None:
