@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.design.margins.loop_warnings import loop_sentences
@@ -69,7 +68,6 @@ from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import full_key
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.trajectory import Trajectory
 
@@ -89,6 +87,9 @@ SIGNALS = (
 
 BENDING = tuple(f"link{i}{j}.bending[" for i in (1, 2) for j in (1, 2))
 """Begins the names of the coordinates that bend the robot in motion."""
+
+DIFFERENCES = 6
+"""Order of the differences by which signals are packed."""
 
 TOLERANCES = (2e-13, 1e-11, 1e-9, 1e-7)
 """Of the motion between knots, relative to the largest value; the run's own references have all bits at its communication points."""
@@ -296,7 +297,7 @@ def live_run(run: Run, *, is_exact: bool = True) -> LiveRun:
         return LiveRun(reason="its loop runs in Python")
     # the last initialisation's memory, then what the program refers to
     try:
-        table = _table(prepared, prepared.parts.references)
+        grid = _grid(prepared, is_exact=is_exact)
         image = program_image(simulator.schedule, simulator.recorder)
     except InputError as error:
         return LiveRun(reason=str(error))
@@ -314,7 +315,7 @@ def live_run(run: Run, *, is_exact: bool = True) -> LiveRun:
     if not texts or root.find("CoSimulation") is None:
         return LiveRun(reason=f"{run.fmu_path.name} has no C sources")
     try:
-        facts = _facts(run, prepared, image, table if is_exact else None, root)
+        facts = _facts(run, prepared, image, grid, root)
     except InputError as error:
         return LiveRun(reason=str(error))
     return LiveRun({**facts, "module": _compiled(texts, blocks)})
@@ -365,56 +366,73 @@ def _block_code(number: int, slave: BlockSlave) -> str:
     )
 
 
-@dataclass(frozen=True)
-class _Table:
-    """Communication points of a run with the references' limits: times (N,), flags (N,), right limits (N, 5, v), left ones too."""
+def _grid(prepared: PreparedScene, *, is_exact: bool) -> dict[str, Any]:
+    """Knots of the joints' motion, from which a page forms the references at any communication points; and, if it is to be exact, the
+    run's own points with the limits there.
 
-    times: RealArray
-    marked: NDArray[np.bool_]
-    due: tuple[NDArray[np.bool_], ...]
-    begins: RealArray
-    ends: RealArray
-    scales: RealArray
-
-
-def _table(prepared: PreparedScene, references: TrajectorySlave) -> _Table:
-    """All blocks of the grid as one table.
+    Positions to order 6 (N, 7, axes) are all that there is, since velocities and accelerations share them.
 
     Raises:
         InputError: the polynomials aren't those that the page forms.
     """
-    schedule = prepared.simulator.schedule
+    references = prepared.parts.references
+    knots = _knots(references.trajectory)
+    axes = knots.jets.shape[2]
+    found = {
+        "knots": _doubles(knots.times),
+        "knot_jets": _doubles(knots.jets),
+        "knot_scales": _doubles(_scales(np.diff(knots.times))),
+    }
     parts: list[tuple[Any, ...]] = []
     scales: list[RealArray] = []
-    for block in schedule.grid.blocks():
+    for block in prepared.simulator.schedule.grid.blocks():
         references.prepare(block.known)
         # the last point of a block is the first of the next
         kept = slice(1 if parts else 0, block.steps + 1)
         if block.grid.recorded is not None:
             raise InputError("not all instants are recorded")
+        announced, ended = references.announced[: block.steps + 1, :ENDS], references.ended[: block.steps + 1]
         parts.append(
-            (
-                block.grid.times[kept],
-                block.grid.marked[kept],
-                *(each[kept] for each in block.grid.due),
-                references.announced[: block.steps + 1, :ENDS][kept],
-                references.ended[: block.steps + 1][kept],
-            )
+            tuple(each[kept] for each in (block.grid.times, block.grid.marked, announced, ended, *block.grid.due))
         )
         # powers by blocks as in the run: those of other lengths may be rounded otherwise
         widths = np.diff(block.known)
-        scales.append(hermite_scales(2 * ENDS, 2, widths).reshape(2 * ENDS, -1).T[: block.steps])
+        scales.append(_scales(widths)[: block.steps])
         begins, ends = references.announced[:-1, :ENDS].swapaxes(0, 1), references.ended[1:].swapaxes(0, 1)
         formed = hermite_derivatives(begins, ends, widths[:, None]).swapaxes(0, 1)
         if not references.ends_exactly or not np.array_equal(formed, references.announced[:-1]):
             raise InputError("its motion repeats or has no limits of order 4")
-    times, marked, *due, announced, ended = (np.concatenate(each) for each in zip(*parts, strict=True))
+    times, marked, announced, ended, *due = (np.concatenate(each) for each in zip(*parts, strict=True))
     if not marked[0]:
         raise InputError("it begins in the middle of its motion")
-    return _Table(times, marked, tuple(due), np.ascontiguousarray(announced), ended, np.concatenate(scales))
+    if not is_exact:
+        return found
+
+    def jets(limits: RealArray) -> RealArray:
+        kinds = [limits[:, :, k * axes : (k + 1) * axes] for k in range(3)]
+        found = np.concatenate([kinds[0], kinds[1][:, -1:], kinds[2][:, -1:]], axis=1)
+        if any(not np.array_equal(found[:, k : k + ENDS], each) for k, each in enumerate(kinds)):
+            raise InputError("its references aren't derivatives of one another")
+        return found
+
+    jumps = np.flatnonzero((announced != ended).any(axis=(1, 2)))
+    return found | {
+        "times": _doubles(times),
+        "marked": marked.astype(np.uint8).tobytes(),
+        "due": [each.astype(np.uint8).tobytes() for each in due],
+        "scales": _doubles(np.concatenate(scales)),
+        "jets": _differences(jets(announced)),
+        "jumps": jumps.tolist(),
+        "before": _doubles(jets(ended[jumps])),
+    }
 
 
-def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, table: _Table | None, root: Any) -> dict[str, Any]:
+def _scales(widths: RealArray) -> RealArray:
+    """Powers of lengths (N,) over factorials, (N, 10), as Hermite polynomials need them."""
+    return hermite_scales(2 * ENDS, 2, widths).reshape(2 * ENDS, -1).T
+
+
+def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, grid: dict[str, Any], root: Any) -> dict[str, Any]:
     """What the page knows beside the module."""
     parts, schedule, recorder = prepared.parts, prepared.simulator.schedule, prepared.simulator.recorder
     model = model_facts(root)
@@ -457,7 +475,7 @@ def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, table: _Table
             for i in schedule.due
             if isinstance(slave := schedule.slaves[i], BlockSlave)
         ],
-        "grid": _limits(table, parts.references.trajectory),
+        "grid": grid,
         "task": {"times": _doubles(task.times), "jets": _doubles(task.jets[:, :ENDS])},
         "analysis": {
             str(m): {
@@ -721,66 +739,12 @@ def _knots(trajectory: Trajectory) -> TrajectoryTable:
     raise InputError("its motion isn't smooth enough for a table")
 
 
-def _limits(table: _Table | None, trajectory: Trajectory) -> dict[str, Any]:
-    """Knots of the joints' motion; and the communication points, with what the motion's limits there differ by from what the page
-    evaluates between the knots.
-
-    Positions to order 6 (N, 7, axes) are all that there is, since velocities and accelerations share them. Differences are those of the
-    bits as integers, which are small: they pack to a third of the numbers.
-    """
-    knots = _knots(trajectory)
-    axes = knots.jets.shape[2]
-    scales = hermite_scales(2 * ENDS, 2, np.diff(knots.times)).reshape(2 * ENDS, -1).T
-    found = {"knots": _doubles(knots.times), "knot_jets": _doubles(knots.jets), "knot_scales": _doubles(scales)}
-    if table is None:
-        return found
-
-    def limits(jets: RealArray) -> RealArray:
-        return np.concatenate([jets[:, k : k + ENDS] for k in range(3)], axis=2)
-
-    def jets(limits: RealArray, *, checked: bool = True) -> RealArray:
-        kinds = [limits[:, :, k * axes : (k + 1) * axes] for k in range(3)]
-        found = np.concatenate([kinds[0], kinds[1][:, -1:], kinds[2][:, -1:]], axis=1)
-        if checked and any(not np.array_equal(found[:, k : k + ENDS], each) for k, each in enumerate(kinds)):
-            raise InputError("its references aren't derivatives of one another")
-        return found
-
-    def difference(exact: RealArray, times: RealArray, side: Side) -> bytes:
-        found = jets(_evaluated(knots.times, limits(knots.jets), times, side), checked=False)
-        return _doubles((exact.view(np.int64) - found.view(np.int64)).view(np.float64))
-
-    jumps = np.flatnonzero((table.begins != table.ends).any(axis=(1, 2)))
-    return found | {
-        "times": _doubles(table.times),
-        "marked": table.marked.astype(np.uint8).tobytes(),
-        "due": [each.astype(np.uint8).tobytes() for each in table.due],
-        "scales": _doubles(table.scales),
-        "jets": difference(jets(table.begins), table.times, "right"),
-        "jumps": jumps.tolist(),
-        "before": difference(jets(table.ends[jumps]), table.times[jumps], "left"),
-    }
-
-
-def _evaluated(knots: RealArray, limits: RealArray, times: RealArray, side: Side) -> RealArray:
-    """Limits (N, 5, v) at some times by polynomials between knots (K,), in the operations of ``Simulation.evaluate`` in simulation.js."""
-    steps, variables = len(knots) - 1, limits.shape[2]
-    polynomials = np.zeros((steps + 1, 2 * ENDS, variables))
-    with np.errstate(all="ignore"):  # of knots that a breakpoint has twice
-        formed = hermite_derivatives(
-            limits[:-1].swapaxes(0, 1), limits[1:].swapaxes(0, 1), np.diff(knots)[:, np.newaxis]
-        )
-    polynomials[:-1] = formed.swapaxes(0, 1)
-    polynomials[-1, :ENDS] = limits[-1]
-    low = np.maximum(np.searchsorted(knots, times, side="right" if side == "right" else "left") - 1, 0)
-    h = np.where(low == steps, 0.0, times - knots[low])[:, np.newaxis]
-    found = np.empty((times.size, ENDS, variables))
-    for order in range(ENDS):
-        total = np.zeros((times.size, variables))
-        for k in range(2 * ENDS - 1, order - 1, -1):
-            total = total * (h / (k - order + 1)) + polynomials[low, k]
-        is_rest = (order > 0) | (np.arange(variables) >= variables // 3)
-        found[:, order] = np.where((low == steps)[:, np.newaxis] & is_rest, 0.0, total)
-    return found
+def _differences(signals: RealArray) -> bytes:
+    """Bits of signals (N, ...) as their differences of order 6 over the instants, signs last: of what is smooth they are small, and
+    pack to half of the numbers."""
+    bits = np.ascontiguousarray(np.moveaxis(signals, 0, -1)).view(np.int64)
+    bits = np.diff(bits, DIFFERENCES, prepend=np.zeros((*bits.shape[:-1], DIFFERENCES), np.int64))
+    return _doubles(((bits << 1) ^ (bits >> 63)).view(np.float64))
 
 
 def _doubles(values: Any) -> bytes:

@@ -5,6 +5,14 @@ const doubles = (bytes) => {
   for (let i = 0; i < count; i++) for (let k = 0; k < 8; k++) all[8 * i + k] = bytes[k * count + i];
   return new Float64Array(all.buffer);
 };
+// signals [instant][signal] from the differences of order 6 of their bits [signal][instant], whose signs are last
+const summed = (bytes, count) => {
+  const bits = new BigInt64Array(doubles(bytes).buffer), unsigned = new BigUint64Array(bits.buffer), signals = bits.length / count, all = new BigInt64Array(bits.length);
+  unsigned.forEach((each, i) => (bits[i] = (each >> 1n) ^ -(each & 1n)));
+  for (let order = 0; order < 6; order++) for (let i = 0; i < bits.length; i++) if (i % count) bits[i] += bits[i - 1];
+  bits.forEach((each, i) => (all[(i % count) * signals + Math.floor(i / count)] = each));
+  return new Float64Array(all.buffer);
+};
 // a line of JSON, whose arrays are places in the bytes behind it
 const unpacked = async (text) => {
   const stream = new Blob([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))]).stream().pipeThrough(new DecompressionStream("gzip"));
@@ -65,22 +73,12 @@ class Simulation {
     }));
   }
 
-  // communication points of the recording with all bits: what the page evaluates, and the differences of its bits from the run's
+  // communication points of the recording with all bits
   recorded(limits) {
     const { facts: { grid }, axes } = this, times = doubles(grid.times), row = ENDS * 3 * axes;
-    const exact = (text, at, isLeft) => {
-      const found = new Float64Array(row), jets = new Float64Array(at.length * 7 * axes), bits = new BigInt64Array(jets.buffer), differences = new BigInt64Array(doubles(text).buffer);
-      at.forEach((time, n) => {
-        this.evaluate(this.joints, time, isLeft, found);
-        for (let k = 0; k < 7; k++) for (let a = 0; a < axes; a++) { const kind = Math.max(k - 4, 0); jets[(n * 7 + k) * axes + a] = found[((k - kind) * 3 + kind) * axes + a]; }
-      });
-      differences.forEach((each, i) => (bits[i] += each));
-      return limits(jets);
-    };
-    const begins = exact(grid.jets, times, false), ends = begins.slice(), left = exact(grid.before, grid.jumps.map((n) => times[n]), true);
+    const begins = limits(summed(grid.jets, times.length)), ends = begins.slice(), left = limits(doubles(grid.before));
     grid.jumps.forEach((n, i) => ends.set(left.subarray(i * row, (i + 1) * row), n * row));
-    const flags = { marked: grid.marked, due: grid.due };
-    return { times, begins, ends, ...flags, polynomials: this.polynomials(times, begins, ends, 3 * axes, doubles(grid.scales)) };
+    return { times, begins, ends, marked: grid.marked, due: grid.due, polynomials: this.polynomials(times, begins, ends, 3 * axes, doubles(grid.scales)) };
   }
 
   // memory of the module
