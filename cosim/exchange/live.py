@@ -15,7 +15,7 @@ import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import isfinite, log, nan, sqrt
+from math import log, nan, sqrt
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.parameters import scene_values
-from flexfmu.cosim.experiment.planning import MotionPlan, plan_rigid
+from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.run_checks import (
     AT_REST,
     BEYOND,
@@ -68,6 +68,7 @@ from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import full_key
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import Variable
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.trajectory import Trajectory
 
@@ -233,14 +234,11 @@ def swept_page(page: Page, scene: Scene, swept: Mapping[str, tuple[float, float]
     found = live_run(run, is_exact=False)
     data = scene.model_dump(mode="json", exclude_none=True)
     # a case of the sweep is designed anew
-    keys = {
-        full_key(data, each["key"]): each["key"] for each in found.facts.get("sliders", ()) if not each.get("frozen")
-    }
-    sliding = {key: keys[full] for key in swept if swept[key] is not None and (full := full_key(data, key)) in keys}
-    known = {
-        name: [key, *span] for key, name in sliding.items() if (span := swept[key]) is not None and span[0] < span[1]
-    }
-    fixed = [key for key in swept if key not in sliding]
+    there = {each["key"] for each in found.facts.get("sliders", ()) if not each.get("frozen")}
+    full = {key: full_key(data, key) for key in swept}
+    spans = {key: span for key, span in swept.items() if span is not None and full[key] in there}
+    known = {full[key]: [key, *span] for key, span in spans.items() if span[0] < span[1]}
+    fixed = [key for key in swept if key not in spans]
     live = simulating([("", found)], swept=known)
     if found.facts and fixed:
         live = replace(live, reasons=[f"other values of {', '.join(fixed)}, which stay as in the scene"])
@@ -279,32 +277,37 @@ def live_run(run: Run, *, is_exact: bool = True) -> LiveRun:
     Raises:
         BuildError: there is no ziglang, or it fails.
     """
-    if not run.completed:
-        return LiveRun(reason="the run did not finish")
-    if run.scene.cosimulation.step_control is not None:
-        return LiveRun(reason="its communication steps are controlled")
-    prepared = PreparedScene(run.scene, motion=run.plan, **_options(run))
-    kinds = (BlockSlave, TrajectorySlave)
-    outside = [
-        each for each in prepared.parts.slaves if each is not prepared.parts.plant and not isinstance(each, kinds)
-    ]
-    if outside:
-        named = ", ".join(f"{each.name} ({type(each).__name__})" for each in outside)
-        return LiveRun(reason=f"there is no C of {named}")
-    again = prepared.run(run.parameters)
-    simulator = prepared.simulator
-    if not again.completed or not simulator.is_compiled:
-        return LiveRun(reason="its loop runs in Python")
-    # the last initialisation's memory, then what the program refers to
     try:
-        grid = _grid(prepared, is_exact=is_exact)
-        image = program_image(simulator.schedule, simulator.recorder)
+        return LiveRun(_simulated(run, is_exact=is_exact))
     except InputError as error:
         return LiveRun(reason=str(error))
-    slaves = simulator.schedule.slaves
-    blocks = [each for i in image.blocks if isinstance(each := slaves[i], BlockSlave)]
+
+
+def _simulated(run: Run, *, is_exact: bool) -> dict[str, Any]:
+    """Module and data of a run.
+
+    Raises:
+        InputError: it can't be had; the message is the reason.
+        BuildError: as for `live_run`.
+    """
+    if not run.completed:
+        raise InputError("the run did not finish")
+    if run.scene.cosimulation.step_control is not None:
+        raise InputError("its communication steps are controlled")
+    prepared = PreparedScene(run.scene, motion=run.plan if _has_object(run) else None, **_options(run))
+    kinds = (BlockSlave, TrajectorySlave)
+    slaves = [each for each in prepared.parts.slaves if each is not prepared.parts.plant]
+    if outside := [f"{each.name} ({type(each).__name__})" for each in slaves if not isinstance(each, kinds)]:
+        raise InputError(f"there is no C of {', '.join(outside)}")
+    again, simulator = prepared.run(run.parameters), prepared.simulator
+    if not again.completed or not simulator.is_compiled:
+        raise InputError("its loop runs in Python")
+    # the last initialisation's memory, then what the program refers to
+    grid = _grid(prepared, is_exact=is_exact)
+    image = program_image(simulator.schedule, simulator.recorder)
+    blocks = [each for i in image.blocks if isinstance(each := simulator.schedule.slaves[i], BlockSlave)]
     if refused := next((each for each in blocks if each.block.libraries or each.block.c_files), None):
-        return LiveRun(reason=f"{refused.name!r} calls C of yours")
+        raise InputError(f"{refused.name!r} calls C of yours")
     with zipfile.ZipFile(run.fmu_path) as archive:
         root = etree.fromstring(archive.read("modelDescription.xml"))
         texts = {
@@ -313,12 +316,13 @@ def live_run(run: Run, *, is_exact: bool = True) -> LiveRun:
             if name.startswith("sources/") and name.endswith((".c", ".h"))
         }
     if not texts or root.find("CoSimulation") is None:
-        return LiveRun(reason=f"{run.fmu_path.name} has no C sources")
-    try:
-        facts = _facts(run, prepared, image, grid, root)
-    except InputError as error:
-        return LiveRun(reason=str(error))
-    return LiveRun({**facts, "module": _compiled(texts, blocks)})
+        raise InputError(f"{run.fmu_path.name} has no C sources")
+    return {**_facts(run, prepared, image, grid, root), "module": _compiled(texts, blocks)}
+
+
+def _has_object(run: Run) -> bool:
+    """Whether the motion is that of an object, which the scene doesn't have."""
+    return bool(run.plan.source) and isinstance(run.scene.trajectory, TrajectorySection)
 
 
 def _compiled(texts: Mapping[str, str], blocks: Sequence[BlockSlave]) -> bytes:
@@ -501,59 +505,50 @@ def _sliders(
     nothing but references depends on it. Where more than the robot itself depends on its parameters, a shaper for example, the page keeps
     that as it was designed (``frozen``), and a copied scene has the robot's real values beside the assumed ones.
     """
-    scene, plan, known, found = run.scene, run.plan, scene_values(run.scene), list[dict[str, Any]]()
-    data = scene.model_dump(mode="json", exclude_none=True)
-    laws, values = _loop(scene, plan)
+    scene, known, found = run.scene, scene_values(run.scene), list[dict[str, Any]]()
+    motion = run.plan if _has_object(run) else None
+    laws, own = _loop(scene, motion)
 
     def add(
-        name: str, key: str, value: float, targets: Sequence[tuple[str, float, int]], unit: str, **more: Any
+        name: str, key: str, value: float, unit: str, targets: Sequence[tuple[str, float, int]], **more: Any
     ) -> None:
         low, high = _span(scene, key, value)
         entry = {"name": name, "label": name, "key": key, "value": value, "low": low, "high": high, "unit": unit}
         found.append(entry | {"targets": targets} | more)
 
     # the robot
-    robot = {}
-    for name, value in starts.items():
-        kinematic = name.startswith("start.") or name.endswith((".length", "base_half_distance"))
-        if name in known and not kinematic and value and variables[name]["causality"] == "parameter":
-            vector = name.endswith((".x", ".y")) and f"{name[:-1]}y" in known
-            robot[name] = known[name].key + (f"[{'xy'.index(name[-1])}]" if vector else "")
-    designed = bool(scene.shaper or plan.design or run.parameters or prepared.parts.unfed)
+    kinematic = ("start.x", "start.y", "proximal.length", "distal.length", "base_half_distance")
+    robot = {
+        name: key
+        for name, key in _robot_keys(scene).items()
+        if starts.get(name) and name not in kinematic and variables[name]["causality"] == "parameter"
+    }
+    designed = bool(scene.shaper or run.plan.design or run.parameters or prepared.parts.unfed)
     if not designed and (scene.controller or scene.imperfection):
         try:
-            other = scene.replace({robot[name]: 1.01 * known[name].value for name in robot})
-            designed = _loop(other, plan) != (laws, values)
+            designed = _loop(scene.replace({key: 1.01 * starts[name] for name, key in robot.items()}), motion) != (
+                laws,
+                own,
+            )
         except (SceneError, CosimError):
             designed = True
     for name, key in robot.items():
         value, assumed = starts[name], known[name].value
         label = name if value == assumed else f"{name} (the scene has {assumed:g})"
         unit = shown_unit(variables[name].get("unit", ""))
-        add(name, key, value, [(name, value, 1)], unit, label=label, frozen=designed)
+        add(name, key, value, unit, [(name, value, 1)], label=label, frozen=designed)
     # the loop
-    units = {
-        f"{each.name}.{p.name}": shown_unit(p.unit)
-        for each in prepared.parts.others
-        if isinstance(each, BlockSlave)
-        for p in each.block.parameters
-    }
-    for name, key, value in _numbers(data):
-        powers = _powers(scene, plan, key, value, laws, values)
+    for name, key, value in _numbers(scene.model_dump(mode="json", exclude_none=True)):
+        powers = _powers(scene, motion, key, value, laws, own)
         if powers and powers.keys() <= blocks.keys():
-            common = {units[target] if power == 1 else "" for target, power in powers.items()}
-            add(
-                name,
-                key,
-                value,
-                [(each, values[each], power) for each, power in powers.items()],
-                common.pop() if len(common) == 1 else "",
-            )
+            units = {shown_unit(own[target].unit) if power == 1 else "" for target, power in powers.items()}
+            targets = [(target, own[target].start or 0.0, power) for target, power in powers.items()]
+            add(name, key, value, units.pop() if len(units) == 1 else "", targets)
     # the duration
-    if not (fixed := _fixed(run)):
-        longer = scene.replace({"trajectory.duration": 1.1 * plan.duration})
-        if _loop(longer, plan_rigid(longer)) == (laws, values):
-            add("duration", "trajectory.duration", plan.duration, [], "s", label="duration of the motion")
+    fixed, duration = _fixed(run), run.plan.duration
+    if not fixed:
+        if _loop(scene.replace({"trajectory.duration": 1.1 * duration}), None) == (laws, own):
+            add("duration", "trajectory.duration", duration, "s", [], label="duration of the motion")
         else:
             fixed = "the loop is designed for it"
     return {"sliders": found, "fixed": fixed}
@@ -564,22 +559,26 @@ def _fixed(run: Run) -> str:
     plan = run.plan
     reasons = {
         "an input shaper acts on the motion": run.scene.shaper,
-        "the motion is that of an object": plan.source and isinstance(run.scene.trajectory, TrajectorySection),
+        "the motion is that of an object": _has_object(run),
         "the motion repeats": plan.repetition,
         "its references are those of the flexible robot": plan.design,
     }
     return next((reason for reason, holds in reasons.items() if holds), "")
 
 
-def _loop(scene: Scene, plan: MotionPlan) -> tuple[list[Any], dict[str, float]]:
-    """The loop that a scene has around its robot: laws of all slaves, and parameters of blocks by ``slave.name``."""
-    loop, laws, values = loop_of(scene, replace(plan, scene=scene)), list[Any](), dict[str, float]()
-    for each in (*loop.controllers, *(inline.slave for inline in loop.inline_blocks), *loop.disturbances):
-        if isinstance(each, BlockSlave):
-            law = sample_function(each.block).serialize()
-            laws.append((each.name, each.sample_time, each.offset, each.block.states, law))
-            values |= {f"{each.name}.{p.name}": p.start or 0.0 for p in each.block.parameters}
-    return laws, values
+def _robot_keys(scene: Scene) -> dict[str, str]:
+    """Name of the FMU parameter → key in the scene, of a component with its index."""
+    indices = {".x": "[0]", ".y": "[1]"}
+    return {name: each.key + indices.get(name[-2:], "") for name, each in scene_values(scene).items()}
+
+
+def _loop(scene: Scene, motion: MotionPlan | None) -> tuple[list[Any], dict[str, Variable]]:
+    """The loop that a scene has around its robot: laws of all blocks, and their parameters by ``slave.name``."""
+    loop = loop_of(scene, motion and replace(motion, scene=scene))
+    slaves = (*loop.controllers, *(inline.slave for inline in loop.inline_blocks), *loop.disturbances)
+    blocks = [each for each in slaves if isinstance(each, BlockSlave)]
+    laws = [(s.name, s.sample_time, s.offset, s.block.states, sample_function(s.block).serialize()) for s in blocks]
+    return laws, {f"{each.name}.{one.name}": one for each in blocks for one in each.block.parameters}
 
 
 def _numbers(data: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
@@ -598,20 +597,24 @@ def _numbers(data: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
 
 
 def _powers(
-    scene: Scene, plan: MotionPlan, key: str, value: float, laws: Sequence[Any], values: Mapping[str, float]
+    scene: Scene, motion: MotionPlan | None, key: str, value: float, laws: Sequence[Any], own: Mapping[str, Variable]
 ) -> dict[str, int]:
     """Parameter of a block → the power of a key's value that it is proportional to; empty if the key changes anything else."""
     found: list[dict[str, float]] = []
     for factor in (1.1, 1.21):
         try:
-            others, changed = _loop(scene.replace({key: factor * value}), plan)
+            others, changed = _loop(scene.replace({key: factor * value}), motion)
         except (SceneError, CosimError):
             return {}
-        if others != laws:
+        ratios = {
+            name: (each.start or 0.0) / (own[name].start or nan)
+            for name, each in changed.items()
+            if name in own and each != own[name]
+        }
+        if others != laws or not all(ratio > 0.0 for ratio in ratios.values()):
             return {}
-        moved = {name: each / values[name] for name, each in changed.items() if each != values[name] and values[name]}
-        found.append({name: log(ratio) / log(factor) if ratio > 0.0 else nan for name, ratio in moved.items()})
-    powers = {name: round(power) if isfinite(power) else 0 for name, power in found[0].items()}
+        found.append({name: log(ratio) / log(factor) for name, ratio in ratios.items()})
+    powers = {name: round(power) for name, power in found[0].items()}
     exact = all(abs(each.get(name, nan) - power) < EXACT for each in found for name, power in powers.items())
     return powers if exact else {}
 
@@ -644,21 +647,18 @@ def _span(scene: Scene, key: str, value: float) -> tuple[float, float]:
 
 def _copied(run: Run, prepared: PreparedScene) -> dict[str, Any]:
     """What is needed to copy the run: its scene, the file that this comes from, and what was changed since; no file if that can't be said."""
-    scene, section, known = run.scene, run.scene.cosimulation, scene_values(run.scene)
-    if scene.has_objects or (run.plan.source and isinstance(scene.trajectory, TrajectorySection)):
+    scene, section, keys = run.scene, run.scene.cosimulation, _robot_keys(run.scene)
+    own = {name: value for name, value in run.parameters.items() if prepared.parts.changes.get(name) != value}
+    if scene.has_objects or _has_object(run) or own.keys() - keys.keys():
         return {"scene": None, "origin": ""}
     changes: dict[str, Any] = {}
     if run.communication_step != section.communication_step:
         changes["cosimulation.step"] = run.communication_step
     if run.tolerance != section.tolerance:
         changes["cosimulation.tolerance"] = run.tolerance
-    own = {name: value for name, value in run.parameters.items() if prepared.parts.changes.get(name) != value}
     if own:
-        real = {
-            known[name].key + (f"[{'xy'.index(name[-1])}]" if name.endswith((".x", ".y")) else ""): value
-            for name, value in own.items()
-        }
         kept = scene.model_dump(exclude_none=True)["imperfection"]
+        real = {keys[name]: value for name, value in own.items()}
         changes["imperfection"] = [*kept, {"kind": "parameter-error", "parameters": real}]
     scene = scene.replace(changes) if changes else scene
     short = scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
