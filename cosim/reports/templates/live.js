@@ -16,7 +16,6 @@
   for (const simulation of simulations) for (const each of simulation.facts.sliders) {
     const [written, ...range] = swept[each.key] ?? [], known = sliders.find(({ name }) => name === each.name) ?? each, ratio = known.value / each.value;
     if (known === each) sliders.push(Object.assign(each, { of: new Map(), written, range: range.length ? range : null }));
-    known.isDesigned ||= each.frozen;
     known.low = Math.max(known.low / known.value, each.low / each.value) * known.value;
     known.high = Math.min(known.high / known.value, each.high / each.value) * known.value;
     known.of.set(simulation, ratio === 1 ? (value) => value : (value) => +(value / ratio).toPrecision(6));
@@ -75,6 +74,7 @@
   add(accuracy, get(".sliders"));
   sliders.slice(first).forEach((each) => add(each, get(".more")));
   get(".more").parentElement.hidden = sliders.length <= first;
+  page.choose?.(0);
   const remarks = html("p", { className: "remarks caption" });
   get(".alarm").before(remarks);
   const spectra = charts.filter(({ x }) => x.startsWith("frequency")).flatMap(({ panels }) => panels.map((each) => (each.recorded = { marks: each.marks, markers: each.markers })));
@@ -83,7 +83,7 @@
     const moved = [...state.keys()], isMoved = moved.some((each) => each.targets?.length && "frozen" in each), [{ facts: { fixed } }] = active();
     remarks.textContent = [
       fixed && `The duration stays as recorded: ${fixed}.`,
-      moved.some((each) => each.isDesigned) && "Shapers and controllers stay as they were designed, for the recorded robot; copies say so by an imperfection, parameter-error.",
+      active().some((simulation) => simulation.facts.sliders.some((each) => each.frozen && each.name in valuesOf(simulation))) && "Shapers and controllers stay as they were designed, for the recorded robot; copies say so by an imperfection, parameter-error.",
       isMoved && spectra.some(({ marks }) => marks.length) && "Natural frequencies of the changed robot aren't known: the spectrum shows none.",
     ].filter(Boolean).join(" ");
     return isMoved;
@@ -91,32 +91,27 @@
 
   // the robot in motion: points along its links, the rigid robot's and the deviations, at the animation's instants
   const moved = (motion, r) => {
-    const { robot } = r.simulation.facts, { count } = motion, instants = (motion.instants = 121), all = new Float32Array(instants * (1 + 4 * count)), from = r.time[r.size - 1] - Math.min(r.time[r.size - 1], robot.longest);
-    const ends = r.ends(0), rigids = r.rigids(0), signal = (...names) => names.map((name) => r.signal(name)).find(Boolean);
-    const bent = robot.shapes.map(({ signals, matrix }) => ({ matrix, found: signals.map((name) => r.signal(name)) }));
+    const { robot: { bases, length, shapes, longest } } = r.simulation.facts, { count } = motion, instants = (motion.instants = 121), last = r.time[r.size - 1], from = Math.max(last - longest, 0);
+    const all = new Float32Array(instants * (1 + 4 * count)), [ends, rigids] = [r.ends(0), r.rigids(0)], none = new Float64Array(r.size);
+    const joints = ["joint1.", "joint2."].map((name) => { const reference = r.signal(`${name}reference.position`); return { reference, angle: r.signal(`${name}position`) ?? reference, twist: r.signal(`${name}twist`) ?? none }; });
+    const bent = shapes.map(({ signals, matrix }) => ({ matrix, modes: signals.map((name) => r.signal(name)) })), elongations = [1, 2].map((leg) => r.signal(`link${leg}1.elongation`) ?? none);
+    const link = ([x0, y0], [x1, y1], { matrix, modes }, i, isRigid) => matrix.map((values, k) => {
+      const s = k / (matrix.length - 1), w = isRigid ? 0 : values.reduce((sum, shape, m) => sum + shape * modes[m][i], 0) / Math.hypot(x1 - x0, y1 - y0);
+      return [x0 + s * (x1 - x0) - w * (y1 - y0), y0 + s * (y1 - y0) + w * (x1 - x0)];
+    });
+    const points = (i, isRigid) => {
+      const end = (isRigid ? rigids : ends).map((each) => each[i]);
+      return [...bases.flatMap((base, leg) => {
+        const { reference, angle, twist } = joints[leg], q = isRigid ? reference[i] : angle[i] + twist[i], l = length + (isRigid ? 0 : elongations[leg][i]), elbow = [base[0] + l * Math.cos(q), base[1] + l * Math.sin(q)];
+        return [...link(base, elbow, bent[2 * leg], i, isRigid), ...link(elbow, end, bent[2 * leg + 1], i, isRigid).slice(1, -1)];
+      }), end];
+    };
     for (let f = 0, i = 0; f < instants; f++) {
-      const t = from + ((r.time[r.size - 1] - from) * f) / (instants - 1), put = (j, k, rigid, point) => { const at = instants + 2 * (f * count + j) + k; all[at] = rigid; all[at + 2 * count * instants] = point - rigid; };
-      while (i < r.size - 1 && r.time[i] < t) i++;
+      while (i < r.size - 1 && r.time[i] < from + ((last - from) * f) / (instants - 1)) i++;
+      const rigid = points(i, true).flat(), at = instants + 2 * f * count;
       all[f] = r.time[i];
-      let j = 0;
-      robot.bases.forEach((base, leg) => {
-        const along = (from, to, { matrix, found }, first, last, rigidFrom, rigidTo) => {
-          const x = to[0] - from[0], y = to[1] - from[1], length = Math.hypot(x, y), n = matrix.length;
-          for (let k = first; k < last; k++) {
-            const s = k / (n - 1), w = matrix[k].reduce((sum, shape, m) => sum + shape * found[m][i], 0), put2 = [from[0] + s * x - (w * y) / length, from[1] + s * y + (w * x) / length];
-            for (const axis of [0, 1]) put(j, axis, rigidFrom[axis] + s * (rigidTo[axis] - rigidFrom[axis]), put2[axis]);
-            if (k === n - 1) tip = put2;
-            j++;
-          }
-        };
-        const reference = signal(`joint${leg + 1}.reference.position`)[i], angle = (signal(`joint${leg + 1}.position`) ? signal(`joint${leg + 1}.position`)[i] : reference) + (signal(`joint${leg + 1}.twist`)?.[i] ?? 0);
-        const length = robot.length + (signal(`link${leg + 1}1.elongation`)?.[i] ?? 0), at = (l, q) => [base[0] + l * Math.cos(q), base[1] + l * Math.sin(q)], elbow = at(robot.length, reference);
-        const [proximal, distal] = [bent[2 * leg], bent[2 * leg + 1]], end = [ends[0][i], ends[1][i]], rigidEnd = [rigids[0][i], rigids[1][i]];
-        let tip = at(length, angle);
-        along(base, tip, proximal, 0, proximal.matrix.length, base, elbow);
-        along(tip, end, distal, 1, distal.matrix.length - 1, elbow, rigidEnd);
-      });
-      for (const axis of [0, 1]) put(count - 1, axis, rigids[axis][i], ends[axis][i]);
+      all.set(rigid, at);
+      all.set(points(i, false).flat().map((v, k) => v - rigid[k]), at + 2 * count * instants);
     }
     motion.take(all);
     motion.slider.max = instants - 1;

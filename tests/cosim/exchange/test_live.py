@@ -65,6 +65,7 @@ SCENES: dict[str, Any] = {
     "starter": "starter",
     "loop": EXAMPLES / "controller_scene.toml",
     "stiction": None,
+    "sampled shaper": None,
 }
 
 
@@ -99,7 +100,9 @@ def numbers(text: str) -> Any:
 @pytest.mark.parametrize("name", SCENES)
 def test_node_gives_the_bits_of_the_run(name: str, tmp_path: Path) -> None:
     """All signals with their derivatives, of all shipped scenes, a loop with encoder and lag, and friction that sticks; so do the metrics."""
-    run = flexfmu.run(SCENES[name] or stiction())
+    sampled = {"shaper": [{"kind": "zv", "apply": "sampled", "sample_time": 1e-3}]}
+    own = stiction() if name == "stiction" else load_scene("barnard2012-6kg").replace(sampled)
+    run = flexfmu.run(SCENES[name] or own)
     (found,) = simulated(run, tmp_path, {})
     assert numbers(found["time"]).tobytes() == run.recording.time.tobytes()
     for signal, orders in found["signals"].items():
@@ -277,7 +280,8 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
     page.get_by_role("button", name="copy as command").click()
     assert page.locator(".command").inner_text() == f"flexfmu run {name} --set 'payload.mass={mass:g}'"
     # the natural frequencies are those of the recorded robot
-    assert "Natural frequencies of the changed robot aren't known" in page.locator(".remarks").inner_text()
+    remarks = "Natural frequencies of the changed robot aren't known: the spectrum shows none."
+    assert page.locator(".remarks").inner_text() == remarks
     page.locator("figure", has=page.locator("h3", has_text="Spectrum")).scroll_into_view_if_needed()
     page.wait_for_timeout(300.0)
     spectrum = "page.charts.find(each => each.key === 'spectrum').panels[0]"
