@@ -167,7 +167,7 @@ def refined(
             some = {name: each[few] for name, each in loads.items()}
             tried = attempt((*key, number), [way.of_cases(few) for way in ways], some, loose)
         if tried is None:
-            yield f"{', '.join(map(str, (*key, number)))}: no motion can be planned from there"
+            yield f"{' from '.join(map(str, key))}, try {number + 1}: no motion can be planned"
             return number > (few is not None)
         motions, is_near = tried
         candidate = made(motions)

@@ -31,9 +31,9 @@ from flexfmu.cosim.design.plans.sampled_loop import loop_run, with_learned_torqu
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.many.journal import FILE, WorkJournal, about_scene
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
-from flexfmu.model.reference_design.joint_spline import fitted
+from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.optimal_control import GROUPS, Improvement, ResidualVibration, Way
-from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
@@ -145,6 +145,28 @@ def test_what_settles_is_bounded_as_the_fmu_settles(ratio: float, mass: float, t
         swing = float(away[run.recording.time >= time + wait].max())
         bound = float(ResidualVibration([response.model], last, wait).largest(state)[0])
         assert 0.99 * swing - 1e-8 < bound < 2.0 * swing + 1e-8
+
+
+@pytest.mark.slow
+def test_attempts_that_miss_by_far_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One from each start, judged with what it misses, the least of which is the result; where nothing can be planned it is said."""
+
+    def far_off(ways: list[Way], *_: object, **__: object) -> Iterator[Improvement]:
+        start = ways[0].start
+        assert isinstance(start, JointSpline)
+        if start.duration < 0.25:
+            raise EquilibriumError("too fast")
+        yield Improvement((start,), dict.fromkeys(GROUPS, 1.0), 1.0, checked=False)
+
+    monkeypatch.setattr(method.optimal_control, "optimal_motion", far_off)
+    monkeypatch.setattr(method, "STARTS", (0.65, 0.5, 0.8))
+    result = plan_scene(
+        SCENE.replace({"plan.minimise": "time", "plan.duration": None}), methods=["optimal"], robust=False
+    )
+    assert len(result.assessed) == 2
+    assert all(each.excess > 1.0 for each in result.assessed)
+    assert result.chosen.excess == min(each.excess for each in (result.given, *result.assessed))
+    assert result.failures == ("optimal from 0.5, try 1: no motion can be planned",)
 
 
 CYCLE = SCENE.replace(
