@@ -70,11 +70,9 @@ class ProgramImage:
 
     Attributes:
         data: content before initialisation.
-        addresses: places of words that hold offsets in the image.
-        functions: (place, number) of words that hold functions: of `FUNCTIONS`, then of ``blocks``.
-        tables: (place, name, offset in a row in bytes, row length in bytes, whether of initialisation) of rows of the trajectory's
-            tables ``announced`` and ``ended``.
-        due: (place, index of the clock, whether of initialisation).
+        words: (place, base, offset) of words that are relocated: the offset from a base, which is ``image``, a table of the trajectory
+            (``announced``, ``ended``) or a clock's flags (``due0``, ...); of the base ``function`` the offset is a number of `FUNCTIONS`, then
+            of ``blocks``.
         advance, exchange: (place, number) of instructions.
         script: steps of initialisation: "create", "initialize" or (place, number) of instructions.
         handle: place of the FMU's instance.
@@ -84,10 +82,7 @@ class ProgramImage:
     """
 
     data: bytearray = field(default_factory=bytearray)
-    addresses: list[int] = field(default_factory=list)
-    functions: list[tuple[int, int]] = field(default_factory=list)
-    tables: list[tuple[int, str, int, int, bool]] = field(default_factory=list)
-    due: list[tuple[int, int, bool]] = field(default_factory=list)
+    words: list[tuple[int, str, int]] = field(default_factory=list)
     advance: tuple[int, int] = (0, 0)
     exchange: tuple[int, int] = (0, 0)
     script: list[Any] = field(default_factory=list)
@@ -102,10 +97,9 @@ class ProgramImage:
         self.data += bytes(-(-size // 8) * 8)
         return place
 
-    def refer(self, place: int, target: int) -> None:
-        """Let the word at a place point to another one."""
-        struct.pack_into("<I", self.data, place, target)
-        self.addresses.append(place)
+    def refer(self, place: int, target: int, base: str = "image") -> None:
+        """Let the word at a place point to another one, from a base on."""
+        self.words.append((place, base, target))
 
 
 class _Builder:
@@ -259,23 +253,21 @@ class _Builder:
             LAYOUT.pack_into(image.data, at, *words)
             for name, index in PLACES.items():
                 if name == "source" and each.table is not None:
-                    row = 8 * fields["stride"]
-                    is_announced = row == 8 * self._announced_row(each.owner)
-                    image.tables.append(
-                        (at + 4 * index, "announced" if is_announced else "ended", each.offset, row, initial)
-                    )
+                    row = fields["stride"]
+                    table = "announced" if row == self._announced_row(each.owner) else "ended"
+                    image.refer(at + 4 * index, each.offset - (8 * row if initial else 0), table)
                 elif name in fields and fields.get("count", 0):
                     image.refer(at + 4 * index, self._place(_address(fields[name])))
             if "due" in fields:
-                image.due.append((at + 4 * DUE, self._clocks.index(each.owner), initial))
+                image.refer(at + 4 * DUE, -1 if initial else 0, f"due{self._clocks.index(each.owner)}")
             if each.kind is Opcode.EVALUATE:
                 number_of, slot = self._evaluation(each)
-                image.functions.append((at + 4 * FUNCTION, number_of))
+                image.refer(at + 4 * FUNCTION, number_of, "function")
                 image.refer(at + 4 * COMPONENT, slot)
             elif "function" in fields:
                 if fields["component"] != self._component:
                     raise InputError(f"{self._schedule.slaves[each.owner].name!r} is a further FMU")
-                image.functions.append((at + 4 * FUNCTION, self._calls[fields["function"]]))
+                image.refer(at + 4 * FUNCTION, self._calls[fields["function"]], "function")
                 image.refer(at + 4 * COMPONENT, image.handle)
         return first, len(instructions)
 

@@ -245,20 +245,18 @@ class Simulation {
     const grid = this.known, count = grid.times.length, capacity = count + grid.marked.reduce((sum, each) => sum + each, 1) + 1;
     // tables of the points, which stay in memory while runs have the same
     if (grid !== this.loaded) {
-      const flags = (values, name) => this.put(values, name), due = grid.due.map((each, i) => flags(each, `due${i}`));
-      this.places = { announced: this.put(grid.polynomials, "announced"), ended: this.put(grid.ends, "ended"), times: this.put(grid.times, "times"), due };
-      Object.assign(this.places, { marked: flags(grid.marked, "marked"), instants: flags(new Uint8Array(count).fill(1), "instants") });
+      const { polynomials: announced, ends: ended, marked, due } = grid, tables = { announced, ended, times: grid.times, marked, instants: new Uint8Array(count).fill(1) };
+      due.forEach((flags, i) => (tables[`due${i}`] = flags));
+      this.places = Object.fromEntries(Object.entries(tables).map(([name, values]) => [name, this.put(values, name)]));
       this.loaded = grid;
     }
-    const { announced, ended, times, due, marked, instants } = this.places;
+    const { times, marked, instants } = this.places;
     const width = facts.channels.reduce((sum, [, n]) => sum + n, 1), rows = this.area("rows", 8 * width * capacity);
     // the image, with parameters of blocks, relocated
     this.image ??= facts.image;
     const base = this.put(this.image, "image"), words = (place) => this.view(Uint32Array, base + place, 1);
-    for (const place of facts.addresses) words(place)[0] += base;
-    for (const [place, number] of facts.functions) words(place)[0] = exports.live_function(number);
-    for (const [place, name, offset, row, isStart] of facts.tables) words(place)[0] = (name === "announced" ? announced : ended) + offset - (isStart ? row : 0);
-    for (const [place, clock, isStart] of facts.due) words(place)[0] = due[clock] - (isStart ? 1 : 0);
+    const bases = { ...this.places, image: base };
+    for (const [place, name, offset] of facts.words) words(place)[0] = name === "function" ? exports.live_function(offset) : bases[name] + offset;
     const starts = { ...facts.starts };
     for (const [name, value] of Object.entries(parameters)) {
       if (name in facts.blocks) this.view(Float64Array, base + facts.blocks[name], 1)[0] = value; else starts[name] = value;
