@@ -618,7 +618,7 @@ def plan(
         out (DIR): Folder of the results. Default: results/<name of the scene>-plan.
         minimise (WHAT): time, torque, rms_torque, energy or residual; all but time need --duration. Default: the scene's, or
             time.
-        duration (SECONDS): Total time, for all but time. Default: the scene's.
+        duration (SECONDS): Total time, for all but time, in a cycle with its pauses. Default: the scene's.
         residual (METRES): Largest residual vibration. Default: the scene's, or 1e-6.
         payload_band (BAND): Payloads for which the limits hold: 0.3 for 30 % to both sides, 4,8 for 4 to 8 kg, or an identified.json
             for its interval. Default: the scene's, or 0.3.
@@ -642,7 +642,7 @@ def plan(
             Default: none.
         warm_start (DIR): The folder of an earlier plan, for another start or payload for example: optimal control goes on from its motion, in
             a few seconds, alone unless --method says more. Default: a plan from the beginning.
-        budget (SECONDS): Start no further method or candidate after this time. Default: no limit.
+        budget (SECONDS): End after this time with the best motion so far, as after Ctrl-C. Default: no limit.
         seed (N): Seed of the search. Default: the scene's, or 0.
         robust: Evaluate the chosen motion in richer models too.
         restart: Discard what an interrupted plan for another scene or other limits has left in the folder. Default: refuse.
@@ -759,13 +759,15 @@ def with_wishes(scene: Scene, wishes: dict[str, Any], limits: list[str]) -> Scen
     """The scene with the wishes of the options in its section `plan`.
 
     Raises:
-        InputError: a limit has another form.
+        InputError: a limit has another form, or is there twice.
         SceneError: a wish is invalid.
     """
     changes = {f"plan.{key}": value for key, value in wishes.items()}
     for text in limits:
         name, _, value = text.partition("=")
         number, key = value.removesuffix("x"), f"plan.limits.{name.strip()}"
+        if key in changes:
+            raise InputError(f"--limit has {name.strip()} twice, the second time as {value}: leave one out")
         try:
             changes[key] = value if value == "free" else {"ratio": float(number)} if value != number else float(number)
         except ValueError:

@@ -215,7 +215,7 @@ class PlanSection(Section):
     keep_out: Annotated[tuple[Region, ...] | None, BeforeValidator(as_tuple)] = None
     limits: PlanLimits = PlanLimits()
     front: Annotated[tuple[FrontAxis, ...], BeforeValidator(as_tuple)] = ()
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0, lt=2**20)] = 0
 
     @model_validator(mode="after")
     def _front_has_what_is_minimised(self) -> Self:

@@ -11,6 +11,7 @@ import numpy as np
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.assessment import Candidate, Judge
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import spline
 
@@ -79,7 +80,7 @@ def drive_table(
         counts: encoder counts of one turn of a joint, to which positions, velocities and accelerations are rounded; None for no rounding.
 
     Raises:
-        InputError: a rate or a number of counts out of range, or an unknown unit.
+        InputError: a rate or a number of counts out of range, or too low for the robot to follow the samples, or an unknown unit.
         TrajectoryError, ResultsError: the motion can't be planned or run.
     """
     check_drive(rate, unit, counts)
@@ -103,7 +104,13 @@ def drive_table(
         # the motion of a drive that goes through each sample by quintics
         motion = spline(instants[: moving + 1], values[-1][:, : moving + 1] / per_radian, coordinates="joints")
         parts.append(Candidate(f"{rate:g} samples a second", "csv", goals.scene, motion))
-    found = judge.assess(replace(parts[0], ways=tuple(parts) if judge.goals.ways else ()))
+    try:
+        found = judge.assess(replace(parts[0], ways=tuple(parts) if judge.goals.ways else ()))
+    except TrajectoryError as error:
+        counted = "" if counts is None else f" of {counts:g} counts a turn"
+        raise InputError(
+            f"the robot can't follow {rate:g} samples a second{counted}: {error}; raise the rate or the counts"
+        ) from error
     use = replace(found.uses[0], figure="residual of the samples")
     unit = unit if counts is None else "count"
     return DriveTable(rate, unit, per_radian, np.concatenate(values, axis=1), np.concatenate(torques), use)
@@ -117,5 +124,5 @@ def check_drive(rate: float, unit: str, counts: float | None) -> None:
         )
     if unit not in ANGLES:
         raise InputError(f"angles of a drive's table are in {', '.join(ANGLES)}, got {unit!r}")
-    if counts is not None and not counts >= 1.0:
-        raise InputError(f"the encoder's counts of a turn must be at least 1, got {counts:g}")
+    if counts is not None and not (counts >= 1.0 and float(counts).is_integer()):
+        raise InputError(f"the encoder's counts of a turn are a whole number from 1 on, got {counts:g}")

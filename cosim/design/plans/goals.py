@@ -449,18 +449,24 @@ def _check_duration(goals: Goals) -> None:
     duration = goals.wishes.duration
     if duration is None:
         return
-    motion = goals.given.once
-    ends = motion.joints.evaluate([0.0, motion.duration], 0, "left")[0]
-    turn = float(np.abs(ends[1] - ends[0]).max())
-    peaks = peak_rates(motion.joints, CHECKED)
+    motions, pauses = (
+        [each.given.once for each in goals.ways or (goals,)],
+        sum(each.pause or 0.0 for each in goals.ways),
+    )
+    ends = [each.joints.evaluate([0.0, each.duration], 0, "left")[0] for each in motions]
+    turns = np.array([np.abs(last - first).max() for first, last in ends])
+    peaks = np.max([peak_rates(each.joints, CHECKED) for each in motions], axis=0)
     for k, name in enumerate(RATES):
         if name not in goals.limits:
             continue
         value = float(goals.limits[name].resolved(peaks[k]))
-        # the shortest time from rest to rest: at full speed, by full acceleration, by full jerk
-        least = (turn / value, 2 * (turn / value) ** 0.5, (32 * turn / value) ** (1 / 3))[k]
+        # the shortest times from rest to rest: at full speed, by full acceleration, by full jerk
+        shortest = (turns / value, 2 * (turns / value) ** 0.5, (32 * turns / value) ** (1 / 3))[k]
+        least = float(shortest.sum()) + pauses
         if duration < least:
+            resting = f" and to rest for {pauses:g} s" if pauses else ""
+            turn = " and ".join(f"{each:.4g}" for each in turns)
             raise InputError(
-                f"`plan.duration` = {duration:g} s is below {least:.4g} s, which a joint needs to turn by {turn:.4g} rad with "
+                f"`plan.duration` = {duration:g} s is below {least:.4g} s, which a joint needs to turn by {turn} rad{resting} with "
                 f"`plan.limits.{name}` of {value:.4g} {UNITS[name]}: allow more time or more {name}"
             )

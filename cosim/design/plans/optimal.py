@@ -69,6 +69,9 @@ ACTIVE, FULL, FULL_RESIDUAL = 0.98, 0.999, 0.9
 OPTIMISTIC = 0.6
 """Share of its limit to which the bound of the residual vibration is loosened after the first motion: it bounds the sum of all modes."""
 
+INTERRUPTED = "optimal control, interrupted"
+"""Label of the motion that optimal control had when it was interrupted."""
+
 RETURN = 1e-6
 """Distance from start to end [m] below which a motion returns."""
 
@@ -315,7 +318,11 @@ def _attempt(
     loose: float,
     near: float = NEARLY,
 ) -> tuple[list[JointSpline], bool] | None:
-    """The best motions, from the journal or by optimal control, and whether their violations are below a largest one; None for none."""
+    """The best motions, from the journal or by optimal control, and whether their violations are below a largest one; None for none.
+
+    Raises:
+        KeyboardInterrupt: after Ctrl-C, or of ``show``, with the candidate that there is so far, if there is one.
+    """
 
     def best() -> Any:
         last: optimal_control.Improvement | None = None
@@ -329,6 +336,9 @@ def _attempt(
         except EquilibriumError:
             # too fast for the links: a slower start may do
             return None
+        except KeyboardInterrupt:
+            # the best motion so far is judged all the same
+            raise KeyboardInterrupt(*([] if last is None else [_candidate(goals, INTERRUPTED, last.motions)])) from None
         return last and ([(*vars(each).values(),) for each in last.motions], max(last.violations.values()))
 
     found = journal.kept(key, Optimum, best)

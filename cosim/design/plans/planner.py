@@ -247,7 +247,7 @@ def plan_scene(
         candidates: further motions that are assessed beside those found.
         before: the planned scenes of an earlier plan, one for each way: optimal control goes on from them, and alone unless ``methods`` has more.
         processes: number of processes of the search.
-        budget: time [s] after which nothing new is started; None for no limit.
+        budget: time [s] after which it ends as after Ctrl-C; None for no limit.
         robust: whether the chosen motion is judged in richer models too, see `flexfmu.cosim.design.plans.robustness`.
         show: is called with what is being done.
         journal: where all that is found is kept, also from an earlier call for the same scene.
@@ -313,10 +313,21 @@ def plan_scene(
         yield from candidates
         for name in (each for each in METHODS if each in methods):
             try:
-                yield from METHODS[name](judge, found, processes, show)
+                yield from METHODS[name](judge, found, processes, watched)
             except FAILURES as error:
                 # a method that fails doesn't end the plan
                 _note_failure(failures, name, error)
+
+    def watched(text: str, share: float | None) -> None:
+        show(text, share)
+        if budget is not None and monotonic() - clock > budget:
+            raise KeyboardInterrupt
+
+    def assess(candidate: Candidate) -> None:
+        try:
+            found.append(judge.assess(candidate))
+        except FAILURES as error:
+            _note_failure(failures, candidate.label, error)
 
     interrupted = False
     try:
@@ -324,17 +335,14 @@ def plan_scene(
             if isinstance(candidate, str):
                 failures.append(candidate)
                 continue
-            try:
-                found.append(judge.assess(candidate))
-            except FAILURES as error:
-                _note_failure(failures, candidate.label, error)
+            assess(candidate)
             chosen = best(found, goals.wishes.minimise)
-            show(f"{chosen.time:.4g} s, {1e6 * chosen.residual:.2g} µm: {chosen.candidate.label}", None)
-            if budget is not None and monotonic() - clock > budget:
-                interrupted = True
-                break
-    except KeyboardInterrupt:
+            watched(f"{chosen.time:.4g} s, {1e6 * chosen.residual:.2g} µm: {chosen.candidate.label}", None)
+    except KeyboardInterrupt as interruption:
         interrupted = True
+        # what was being improved
+        for each in interruption.args:
+            assess(each)
     chosen, lines = best(found, goals.wishes.minimise), list[RobustnessLine]()
     try:
         for line in robustness(chosen.candidate, goals, journal=journal) if robust and not interrupted else ():

@@ -209,6 +209,29 @@ def test_ctrl_c_within_a_run_ends_the_plan_too(monkeypatch: pytest.MonkeyPatch) 
     assert found.failures == found.assessed == ()
 
 
+def test_ctrl_c_within_optimal_control_judges_what_it_has() -> None:
+    """The third improvement is where it ends, and it is judged beside the given motion."""
+    told = list[str]()
+
+    def show(text: str, _: float | None) -> None:
+        told.append(text)
+        if sum("over the bands" in each for each in told) == 3:
+            raise KeyboardInterrupt
+
+    found = plan_scene(SCENE, methods=("optimal",), robust=False, show=show)
+    assert found.interrupted
+    assert [each.candidate.label for each in found.assessed] == ["optimal control, interrupted"]
+    assert found.assessed[0].time == pytest.approx(float(told[-1].split()[-2]), rel=1e-3)
+
+
+def test_a_budget_ends_optimal_control_too() -> None:
+    """It ends with the first improvement after that time, long before a motion is found."""
+    told = list[str]()
+    found = plan_scene(SCENE, methods=("optimal",), robust=False, budget=1e-3, show=lambda text, _: told.append(text))
+    assert found.interrupted
+    assert sum("over the bands" in each for each in told) == len(found.assessed) == 1
+
+
 def test_a_motion_that_fails_does_not_end_the_plan() -> None:
     singular = Candidate("too low", "search", GOALS.scene.replace({"trajectory.height": 0.29}))
     found = plan_scene(SCENE, methods=(), candidates=[singular, stretched(1.2)], robust=False)
