@@ -338,7 +338,8 @@ def _attempt(
             return None
         except KeyboardInterrupt:
             # the best motion so far is judged all the same
-            raise KeyboardInterrupt(*([] if last is None else [_candidate(goals, INTERRUPTED, last.motions)])) from None
+            splines = [] if last is None else [each for each in last.motions if isinstance(each, JointSpline)]
+            raise KeyboardInterrupt(*([_candidate(goals, INTERRUPTED, splines)] if splines else [])) from None
         return last and ([(*vars(each).values(),) for each in last.motions], max(last.violations.values()))
 
     found = journal.kept(key, Optimum, best)
