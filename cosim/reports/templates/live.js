@@ -54,7 +54,7 @@
   };
   const add = (slider, parent) => {
     const label = html("label", { title: slider.key || "" }, parent), start = placeOf(slider, slider.value), ends = [placeOf(slider, slider.low), placeOf(slider, slider.high)];
-    html("span", {}, label, slider.label);
+    html("span", {}, label, slider.label.replace(/[._]/g, "$&\u200b"));
     slider.input = html("input", { type: "range", min: ends[0], max: ends[1], step: slider.step ?? 0.005, value: start, ariaLabel: slider.label }, label);
     slider.output = html("output", {}, label, written(slider));
     slider.input.addEventListener("input", () => { const at = +slider.input.value; set(slider, Math.abs(at - start) < 0.003 * (ends[1] - ends[0]) ? slider.value : valueAt(slider, at)); changed(); });
