@@ -28,6 +28,16 @@ OTHERS: dict[str, dict[str, Any]] = {
     "craig-bampton": {"effects.basis": "craig-bampton", "effects.distal_bending": 2},
     "rotor-inertia": {"effects.motor_inertia": 0.1},
     "empty": {"payload.mass": 0.0},
+    "steel-tubes": {
+        "mechanism.proximal": {"length": 0.2, "diameter": 0.030, "inner_diameter": 0.024}, "payload.mass": 3.0,
+        "mechanism.distal": {"length": 0.31, "diameter": 0.025, "inner_diameter": 0.021}, "mechanism.material": {"density": 7850.0, "youngs_modulus": 210e9},
+        "effects": {
+            "gravity": [0.0, -9.81], "basis": "craig-bampton", "proximal_bending": 1, "distal_bending": 1, "distal_axial": 1,
+            "damping": {"kind": "modal", "ratio": 0.01},
+        },
+        "trajectory.start": [-0.11, 0.27], "trajectory.lift": [0.0, 1.0], "trajectory.height": 0.04, "trajectory.width": 0.22,
+        "trajectory.blend": {"kind": "lame", "height": 0.03, "width": 0.04}, "trajectory.duration": 0.40,
+    },
     "loop": {
         "cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "imperfection": [{"kind": "encoder", "counts_per_turn": 1e6}],
         "controller": [{"kind": "pid", "proportional": 1e4, "integral": 0.0, "derivative": 100.0, "sample_time": 1e-3}],
@@ -45,7 +55,7 @@ OTHERS: dict[str, dict[str, Any]] = {
         }
     },
 }  # fmt: skip
-"""Name → changes of `HEAVY`: other materials, assemblies, effects, loads and limits."""
+"""Name → changes of `HEAVY`: other materials, links, assemblies, effects, loads and limits."""
 
 SCENES = ("barnard2012-6kg", "barnard2012-0.1kg", str(EXAMPLES / "tubes.toml"), str(EXAMPLES / "steel.toml"), *OTHERS)
 

@@ -19,7 +19,7 @@ from itertools import groupby
 
 import casadi
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import eigh, expm
 
 from flexfmu.model.beams import LINKS, fibre_strains
 from flexfmu.model.collocation import collocation
@@ -524,6 +524,17 @@ def free_systems(rest: Rest) -> RealArray:
     accelerations = np.linalg.solve(by_a, -np.concatenate([by_q, by_v], axis=2))
     places = np.broadcast_to(np.eye(2 * n)[n:], (len(by_q), n, 2 * n))
     return np.concatenate([places, accelerations], axis=1)
+
+
+def free_motion(rest: Rest, first: float, step: float, count: int) -> RealArray:
+    """End effector (P, count, 2, 2, n) at equidistant times [s] of a free vibration by elastic coordinates and rates at its start, about rest."""
+    n, systems = rest.elastic.shape[1], free_systems(rest)
+    moved, steps = expm(systems * first), expm(systems * step)
+    found = np.empty((len(systems), count, 2, 2 * n))
+    for k in range(count):
+        found[:, k] = rest.jacobian[:, n + 2 : n + 4, :n] @ moved[:, :n]
+        moved = steps @ moved
+    return found.reshape(len(systems), count, 2, 2, n)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import expm
 
-from flexfmu.model.reference_design.elastic_response import ElasticResponse, Response, Rest, free_modes, free_systems
+from flexfmu.model.reference_design.elastic_response import ElasticResponse, Response, free_modes, free_motion
 from flexfmu.model.reference_design.inverse_dynamics import LEAD
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis, knot_means, reference_derivatives
 from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
@@ -137,7 +136,9 @@ class _Problem:
         self._basis = _correction_basis(motors, max(PERIODS * 2.0 * np.pi / highest, LEAST_SPACING))
         fractions = self._elastic.fractions
         self._targets = motion.evaluate(fractions * motors.duration - LEAD, 0)[0]
-        self._free_vibration, self._at_end = _free_vibration(rest), rest.elastic
+        count = round(VIBRATION_TIME / VIBRATION_STEP) + 1
+        found = free_motion(rest, 0.0, VIBRATION_STEP, count)
+        self._free_vibration, self._at_end = found.reshape(*found.shape[:3], -1), rest.elastic
         # derivatives about the uncorrected references: the corrections are so small that they stay the same
         self._by = self._response(motors, reference_derivatives(motors, self._basis, fractions))
         largest = float(np.hypot(*np.moveaxis(self._path_errors(self._by), -1, 0)).max())
@@ -245,17 +246,3 @@ def _correction_basis(motors: JointSpline, spacing: float) -> RealArray:
     moves = np.linalg.solve(basis(degree, intervals, means), basis(degree, wide, means)[:, REST:-REST])
     moves[:REST], moves[-REST:] = 0.0, 0.0
     return np.asarray(moves)
-
-
-def _free_vibration(rest: Rest) -> RealArray:
-    """End effector (P, times, 2, 2 n) after the motion from elastic coordinates and rates at its end, about rest."""
-    n = rest.elastic.shape[1]
-    found = []
-    for jacobian, system in zip(rest.jacobian, free_systems(rest), strict=True):
-        by_q, by_v, by_a = (jacobian[n + 2 :, i * n : (i + 1) * n] for i in range(3))
-        output = np.hstack([by_q, by_v]) + by_a @ system[n:]
-        step, states = expm(system * VIBRATION_STEP), [np.eye(2 * n)]
-        for _ in range(round(VIBRATION_TIME / VIBRATION_STEP)):
-            states.append(step @ states[-1])
-        found.append(output @ np.array(states))
-    return np.array(found)

@@ -53,7 +53,7 @@ GIVEN_STEPS = 300
 STARTS = (0.65, 0.5, 0.8)
 """Durations of the first motions where it is free, relative to the given one: the next serves where the one before finds nothing."""
 
-RESERVE = 0.9995, 0.8, 0.9
+RESERVE = 0.9995, 0.8, 0.96
 """Shares of the limits of torque, clearance and residual that motions use; the FMU judges the rest."""
 
 NEARLY = 0.03
@@ -66,8 +66,8 @@ start, if it exceeds one by more: a slower one has room to reach the limits."""
 ACTIVE, FULL, FULL_RESIDUAL = 0.98, 0.999, 0.9
 """Share of a limit from which on it is active, and shares of limits and of the residual vibration that motions may use."""
 
-OPTIMISTIC = 0.6
-"""Share of its limit to which the bound of the residual vibration is loosened after the first motion: it bounds the sum of all modes."""
+ROUGH = 4.0
+"""Residual vibration of a first motion, relative to the allowed one, from which on the next begins with a bound that falls."""
 
 INTERRUPTED = "optimal control, interrupted"
 """Label of the motion that optimal control had when it was interrupted."""
@@ -178,19 +178,22 @@ def refined(
         if not is_near:
             return number > (few is not None)
         judged = judge.assess(candidate)
-        excess = excesses(judged)
+        excess, slower = excesses(judged), 1.0
         if few is not None and number == 0:
-            excess = {**reserves(judged), **excess, "residual": OPTIMISTIC}
-        elif judged.feasible:
-            # what it leaves of the limits is given back once
-            left = reserves(judged) if is_first and is_free else {}
-            excess, is_first = left if min(left.values(), default=1.0) < FULL_RESIDUAL else {}, False
-        if not excess:
-            break
-        # what the FMU finds beyond the limits is taken off them, from this motion on
-        slower = SLOWER if max(excess.values()) > SLOWER and is_free else 1.0
+            # the next programmes have the robots for which this motion was not made; vibration falls by and by
+            excess, loose = {}, judged.residual if judged.residual > ROUGH * judge.goals.wishes.residual else 0.0
+        else:
+            if judged.feasible:
+                # what it leaves of the limits is given back once
+                left = reserves(judged) if is_first and is_free else {}
+                excess, is_first = left if min(left.values(), default=1.0) < FULL_RESIDUAL else {}, False
+            if not excess:
+                break
+            # what the FMU finds beyond the limits is taken off them, from this motion on
+            if is_free and max((each for name, each in excess.items() if name != "residual"), default=1.0) > SLOWER:
+                slower = SLOWER
+            loose = 0.0
         ways, loads = _from_motions(ways, loads, excess, motions, slower)
-        loose = 0.0
     return True
 
 
