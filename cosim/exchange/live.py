@@ -239,6 +239,10 @@ def swept_page(page: Page, scene: Scene, swept: Mapping[str, tuple[float, float]
     spans = {key: span for key, span in swept.items() if span is not None and full[key] in there}
     known = {full[key]: [key, *span] for key, span in spans.items() if span[0] < span[1]}
     fixed = [key for key in swept if key not in spans]
+    if fixed and found.facts:
+        # a slider of a robot that is designed anew would be another case
+        sliders = [each for each in found.facts["sliders"] if each["key"] not in {full[key] for key in fixed}]
+        found = LiveRun({**found.facts, "sliders": sliders})
     live = simulating([("", found)], swept=known)
     if found.facts and fixed:
         live = replace(live, reasons=[f"other values of {', '.join(fixed)}, which stay as in the scene"])

@@ -41,7 +41,10 @@ DASHED = "5,3"
 """Of curves that repeat a colour."""
 
 
-RANKS = {"residual_vibration_amplitude": "rings least", "peak_torque_1": "has the smallest peak torque"}
+RANKS = {
+    "residual_vibration_amplitude": "has the least residual vibration",
+    "peak_torque_1": "has the smallest peak torque",
+}
 """Metric → what the run with the smallest value does."""
 
 TILE_RUNS = 2

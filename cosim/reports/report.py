@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, display_error
@@ -23,6 +25,11 @@ FIRST_PLOTS = ("scene",)
 
 OPEN = ("Metrics", "Motors", "Stress of the links", "Learning")
 """Tables that aren't folded away."""
+
+
+OFFSET = 0.6
+"""Share of the residual vibration from which its root mean square is an offset's, if no amplitude of its spectrum has the rest: that of
+a harmonic is 0.71, with the whole amplitude in the spectrum."""
 
 
 def report_page(summary: Mapping[str, Any], plots: Iterable[Plot], live: Live = RECORDED) -> Page:
@@ -139,8 +146,14 @@ def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> Iterator[str]
         yield figure("residual_vibration_amplitude", "{}, ")
         relative = {"least": "within the settling band", "limit": band, "is_relative": True}
         yield figure("residual_vibration_amplitude", "{} times the settling band", **relative)
-        panel = next((plot.panels[0] for plot in plots if plot.key == "spectrum"), None)
-        if panel is not None and panel.markers and residual > 0.0:
+        panel, rms = (
+            next((plot.panels[0] for plot in plots if plot.key == "spectrum"), None),
+            metrics["residual_vibration_rms"],
+        )
+        swings = 1e-6 * max((np.max(each.y, initial=0.0) for each in panel.curves), default=0.0) if panel else residual
+        if rms is not None and rms > OFFSET * residual and swings < (1.0 - OFFSET) * residual:
+            yield Figure.said(", mostly an offset that stays")
+        elif panel is not None and panel.markers and residual > 0.0:
             peak = panel.markers[0]
             near = min(panel.marks, key=lambda mark: abs(mark[0] - peak.x), default=None)
             mode = f", natural frequency {near[1]}" if near is not None and abs(near[0] - peak.x) < 0.1 * peak.x else ""

@@ -50,14 +50,15 @@
   const set = (slider, value) => {
     if (value === slider.value) state.delete(slider); else state.set(slider, value);
     slider.input.value = placeOf(slider, value);
-    slider.output.textContent = written(slider);
+    slider.output.textContent = slider.input.ariaValueText = written(slider);
   };
   const add = (slider, parent) => {
     const label = html("label", { title: slider.key || "" }, parent), start = placeOf(slider, slider.value), ends = [placeOf(slider, slider.low), placeOf(slider, slider.high)];
     html("span", {}, label, slider.label.replace(/[._]/g, "$&\u200b"));
-    slider.input = html("input", { type: "range", min: ends[0], max: ends[1], step: slider.step ?? 0.005, value: start, ariaLabel: slider.label }, label);
+    const step = slider.step ?? 0.005;
+    slider.input = html("input", { type: "range", min: ends[0], max: ends[1], step, value: start, ariaLabel: slider.label, ariaValueText: written(slider) }, label);
     slider.output = html("output", {}, label, written(slider));
-    slider.input.addEventListener("input", () => { const at = +slider.input.value; set(slider, Math.abs(at - start) < 0.003 * (ends[1] - ends[0]) ? slider.value : valueAt(slider, at)); changed(); });
+    slider.input.addEventListener("input", () => { const at = +slider.input.value; set(slider, Math.abs(at - start) < 0.5 * step ? slider.value : valueAt(slider, at)); changed(); });
   };
   const first = Math.max(5, sliders.filter((each) => each.range).length);
   sliders.slice(0, first).forEach((each) => add(each, get(".sliders")));
@@ -124,8 +125,10 @@
   const magnification = () => charts.flatMap((chart) => chart.panels).find((each) => each.motion)?.motion.magnification;
   let referenced = "";
   const sliderOf = (key) => sliders.find((each) => [each.written, each.key].includes(key));
+  const others = [...(isCompared ? document.querySelectorAll("td.value") : []), ...document.querySelectorAll(".lead")].filter((each) => each.textContent.trim() && !each.querySelector("[data-metric]"));
   const show = (results, isUsual) => {
     const [one] = results.values(), isMoved = remark();
+    for (const each of others) each.classList.toggle("stale", !isUsual);
     for (const chart of charts) {
       const { motion } = chart.panels[0], sources = chart.panels.flatMap(({ curves }) => curves.map((each) => each.source)).filter(Boolean);
       if (motion) chart.whenSeen(() => { const now = motion.time[motion.frame]; moved(motion, one); motion.show(now); });
@@ -181,7 +184,7 @@
       const difference = compared && value && base ? ` (${value < base ? "" : "+"}${short(100 * (value / base - 1), 3)} %)` : "";
       return value === null ? phrases[0] : phrases[value <= (limit ?? 0) ? 1 : 2].replace("{}", `${short(value * factor, digits)} ${unit}`.trim() + difference);
     };
-    let recorded = false;
+    let recorded = !isUsual && others.length > 0;
     for (const each of cells) {
       const { cell, name, text, run, limit } = each, said = isUsual ? text : worded(each);
       cell.textContent = said ?? text;
@@ -200,7 +203,7 @@
   };
 
   // the error of a result by a companion, where there is time
-  let pending = 0, idle = 0, addressed = 0;
+  let pending = 0, idle = 0, addressed = 0, refused = [];
   // but for what is rounding, below a nanometre for example
   const companion = (simulation, r) => {
     const given = simulation.options(valuesOf(simulation)), metrics = r.measure(shown);
@@ -208,6 +211,7 @@
     const errors = Object.keys(metrics).map((name) => (metrics[name] > 1e-9 && finer[name] ? Math.abs(finer[name] / metrics[name] - 1) : 0));
     status.textContent = `${status.dataset.time}, metrics within ${short(Math.max(...errors, 1e-12), 2)} of a run with half the step and a hundredth of the tolerance`;
   };
+  const timed = (results, isUsual) => `simulated in ${short(results.reduce((sum, each) => sum + each.elapsed, 0), 3)} ms${isUsual && facts.grid.times ? ", with all bits of the recording" : ""}`;
   const update = () => {
     pending = 0;
     const began = performance.now(), isUsual = state.size === 0 && chosen === 0;
@@ -215,10 +219,12 @@
       const results = new Map(active().map((each) => [each.facts.place, state.size ? simulated(each) : usual(each)])), [r] = results.values();
       show(results, isUsual);
       const failed = [...results.values()].find((each) => each.failure);
-      status.dataset.time = `simulated in ${short([...results.values()].reduce((sum, each) => sum + each.elapsed, 0), 3)} ms`;
+      const outside = refused.length ? `The address has values outside the sliders (${refused.join(", ")}). ` : "";
+      refused = [];
+      status.dataset.time = outside + timed([...results.values()], isUsual);
       status.textContent = status.dataset.time;
       clearTimeout(idle);
-      if (!failed && !isCompared) idle = setTimeout(() => companion(active()[0], r), 300);
+      if (!failed && !isCompared && !isUsual) idle = setTimeout(() => companion(active()[0], r), 300);
     } catch (error) {
       // nothing was simulated: no figures, and curves of earlier values pale
       for (const { cell } of cells) cell.textContent = "–";
@@ -262,26 +268,32 @@
     copying(button, () => scene(isCompared ? each : undefined));
   });
   if (isCompared) get(".copy-scene").remove();
-  get(".reset-all").addEventListener("click", () => {
-    for (const slider of [...state.keys()]) set(slider, slider.value);
-    if (chosen) page.choose(0);
-    changed();
-  });
+  get(".reset-all").addEventListener("click", () => { recorded(); changed(); });
   // a point of a sweep that was picked
   page.pick = (values) => {
-    for (const [key, value] of Object.entries(values)) { const slider = sliderOf(key); if (slider) set(slider, +value.toPrecision(7)); }
-    changed();
+    const there = Object.entries(values).flatMap(([key, value]) => { const slider = sliderOf(key); return slider ? [[slider, value]] : []; });
+    for (const [slider, value] of there) set(slider, +value.toPrecision(7));
+    if (there.length) changed(); else status.textContent = "This point isn't simulated: none of its values has a slider.";
   };
-  // the state that the address has
-  for (const part of location.hash.slice(1).split("&")) {
-    const [name, value] = part.split("="), slider = all.find((each) => each.name === name);
-    if (name === "shaper" && simulations[+value] && page.choose) page.choose(+value);
-    if (!slider || slider.input.disabled || !isFinite(value) || !(slider === accuracy || value / slider.value > 0)) continue;
-    const [low, high] = [slider.low, slider.high].sort((a, b) => a - b);
-    set(slider, Math.min(Math.max(+value, low), high));
-  }
+  const recorded = () => {
+    for (const slider of [...state.keys()]) set(slider, slider.value);
+    if (chosen) page.choose(0);
+  };
+  // the state that the address has, and what of it can't be
+  const addressedState = () => {
+    refused = location.hash.slice(1).split("&").filter((part) => {
+      const [name, value] = part.split("="), slider = all.find((each) => each.name === name);
+      if (name === "shaper" && simulations[+value] && page.choose) { page.choose(+value); return false; }
+      if (!slider || slider.input.disabled || !isFinite(value) || !(slider === accuracy || value / slider.value > 0)) return part;
+      const [low, high] = [slider.low, slider.high].sort((a, b) => a - b), within = Math.min(Math.max(+value, low), high);
+      set(slider, within);
+      return within !== +value;
+    });
+  };
+  addEventListener("hashchange", () => { recorded(); addressedState(); changed(); });
+  addressedState();
   show(new Map(active().map((each) => [each.facts.place, usual(each)])), true);
-  if (state.size || chosen) changed(); else status.textContent = `simulated in ${short(usual(simulations[0]).elapsed, 3)} ms${facts.grid.times ? ", with all bits of the recording" : ""}`;
+  if (state.size || chosen || refused.length) changed(); else status.textContent = timed(active().map(usual), true);
   page.live = { simulations, simulation: simulations[0], usual: usual(simulations[0]), update, state, sliders, command, scene };
   panel.classList.add("ready");
 })().catch((error) => {

@@ -288,6 +288,16 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
     assert page.evaluate(f"[{spectrum}.marks.length, {spectrum}.recorded.marks.length > 0]") == [0, True]
     expected = measure_run(flexfmu.run(run.scene.replace({"payload.mass": mass})), 0)["peak_torque_1"].value
     assert float(tile.inner_text().split()[0]) == pytest.approx(expected, rel=1e-4)
+    # a step of the keyboard from where a slider begins, and back
+    slider.fill("0")
+    places = list[str]()
+    for key in ("ArrowRight", "ArrowLeft", "ArrowLeft"):
+        slider.press(key)
+        places.append(slider.input_value())
+    assert [float(each) for each in places] == pytest.approx([0.005, 0.0, -0.005], abs=1e-9)
+    slider.fill("-0.4")
+    page.wait_for_timeout(500.0)
+    assert page.locator(".lead.stale").count() == 1
     # the same state by the address, then back; on a phone
     address = page.url
     page.goto("about:blank")
@@ -295,9 +305,22 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
     page.locator("#live.ready").wait_for()
     page.wait_for_timeout(500.0)
     assert tile.inner_text() != before
+    assert slider.get_attribute("aria-valuetext") == f"{mass:.4g} kg"
+    # another state in the same tab, and one that can't be
+    page.evaluate("location.hash = '#payload.mass=5'")
+    page.wait_for_timeout(500.0)
+    assert slider.get_attribute("aria-valuetext") == "5 kg"
+    page.evaluate("location.hash = '#payload.mass=-3&shaper=7'")
+    page.wait_for_timeout(100.0)
+    assert "outside the sliders (payload.mass=-3, shaper=7)" in page.locator(".status").inner_text()
+    assert tile.inner_text() == before
+    page.evaluate("location.hash = '#payload.mass=5'")
+    page.wait_for_timeout(500.0)
     page.get_by_role("button", name="as recorded").click()
     page.wait_for_timeout(300.0)
     assert tile.inner_text() == before
+    assert page.locator(".lead.stale").count() == 0
+    assert "with all bits of the recording" in page.locator(".status").inner_text()
     page.set_viewport_size({"width": 390, "height": 800})
     page.wait_for_timeout(100.0)
     assert page.evaluate("document.documentElement.scrollWidth") == 390
@@ -378,6 +401,10 @@ def test_runs_side_by_side_have_common_sliders(browser: Any, tmp_path: Path, mon
     assert number(cells[1].partition("(")[2]) == pytest.approx(
         100.0 * (number(cells[1]) / number(cells[0]) - 1.0), rel=1e-2
     )
+    # what the page doesn't compute is as recorded
+    cost = page.locator("tr", has=page.locator("th", has_text="Processor time")).locator("td.value")
+    assert cost.count() > 0
+    assert cost.evaluate_all("cells => cells.every(each => each.classList.contains('stale'))")
     # copies have each scene's own value
     page.get_by_role("button", name="copy as command").click()
     *runs, compared = page.locator(".command").inner_text().split(" &&\n")

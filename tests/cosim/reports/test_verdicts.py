@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 import flexfmu
 from flexfmu.cosim.design.margins.loop_warnings import loop_sentences
 from flexfmu.cosim.experiment.accuracy import WorkPrecisionTrial
-from flexfmu.cosim.metrics.metrics import measure_run
+from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.reports.plots import draw_plots
 from flexfmu.cosim.reports.report import report_page
 from flexfmu.cosim.reports.summary import instability, summarise
@@ -44,6 +44,20 @@ def loop(name: str, stiffness: float, damping: float) -> Scene:
     """The scene under a PD law."""
     pd = {"kind": "pd", "proportional": stiffness, "derivative": damping, "sample_time": SAMPLE}
     return SCENE.replace({"name": name, "controller": [pd]})
+
+
+@pytest.mark.parametrize("weight", [0.0, -9.81])
+def test_what_stays_is_called_an_offset(weight: float) -> None:
+    """Under its weight a PD loop rests beside its end, where it doesn't ring."""
+    run = flexfmu.run(loop("weight", 5e3, 50.0).replace({"effects.gravity": [0.0, weight], "trajectory.dwell": 0.6}))
+    summary, place = summarise(run, measure_run(run)), settings_for(run).end_equilibrium
+    text = report_page(summary, draw_plots(run, place)).html
+    assert ("mostly an offset that stays" in text) == (weight != 0.0)
+    # the same from the signals: how far the mean of the last tenth is off the end, and what swings about it
+    last = run.recording.time > run.recording.time[-1] - 0.05
+    off = [run.recording[f"end_effector.position.{axis}"].values[last] for axis in "xy"]
+    mean = float(np.hypot(*(each.mean() - rest for each, rest in zip(off, place, strict=True))))
+    assert (mean > 10.0 * max(np.ptp(each) for each in off)) == (weight != 0.0)
 
 
 def growth(stiffness: float, damping: float) -> float:
