@@ -621,7 +621,7 @@ def test_margins_are_those_of_python_control() -> None:
 
         assert found.is_stable == (radius(1.0) < 1.0)
         if not found.is_stable:
-            assert "unstable at the point" in found.verdict
+            assert found.verdict.startswith("Unstable at the point")
             continue
         stable, worst = stable + 1, found.worst
         gains = [g for g in (worst.gain_margin, worst.gain_reduction) if 0.0 < g < np.inf]
