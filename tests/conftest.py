@@ -36,6 +36,9 @@ settings.register_profile(
 )
 settings.load_profile("flexfmu")
 
+# tests run in parallel have the width of a terminal, and commands in a pipe take it
+os.environ.pop("COLUMNS", None)
+
 TOOLS_REQUIRED = os.environ.get("FLEXFMU_REQUIRE_TOOLS", "0") not in ("", "0")
 """Whether a test that misses a tool fails instead of being skipped; `.ci/run` sets the variable where `.ci/tools` gets them."""
 
