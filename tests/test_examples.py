@@ -187,7 +187,8 @@ EXPECTED: dict[str, Check] = {
     ),
     # the planned scene leaves what the plan says for this payload
     "plan_own_robot.py": lambda lines, n: (
-        0.0 < n[-1][0] < 1.01e6 * float(re.findall(r"residual: ([\d.e-]+) m", "".join(lines))[0])
+        0.0 < n[-1][0] < 1.01 * float(re.findall(r"residual: ([\d.e-]+) µm", "".join(lines))[0])
+        and "all limits are kept" in "".join(lines)
     ),
     # the rigid torques of the motion take most of the error away
     "controller_pd.py": figures("tracking error", lambda alone, helped: helped < 0.1 * alone),

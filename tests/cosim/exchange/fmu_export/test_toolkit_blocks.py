@@ -61,7 +61,13 @@ def assert_rounding(found: Any, exact: Any, name: str = "") -> None:
 
 def test_no_kind_is_left_out() -> None:
     """A new kind of controller, imperfection, filter or disturbance is tried in other importers, too."""
-    found = tags("controller", "imperfection", "filter", "disturbance") - {"python", "fmu", "object", "payload-error"}
+    found = tags("controller", "imperfection", "filter", "disturbance") - {
+        "python",
+        "fmu",
+        "object",
+        "payload-error",
+        "parameter-error",
+    }
     assert found <= {name.partition(":")[0] for name in KINDS}
 
 
