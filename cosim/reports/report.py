@@ -28,8 +28,8 @@ OPEN = ("Metrics", "Motors", "Stress of the links", "Learning")
 
 
 OFFSET = 0.6
-"""Share of the residual vibration from which its root mean square is an offset's, if no amplitude of its spectrum has the rest: that of
-a harmonic is 0.71, with the whole amplitude in the spectrum."""
+"""The residual vibration is called an offset if its root mean square is more than this share of it, and no peak of its spectrum reaches
+the rest. A harmonic has 0.71 of its amplitude as root mean square, but all of it as a peak."""
 
 
 def report_page(summary: Mapping[str, Any], plots: Iterable[Plot], live: Live = RECORDED) -> Page:

@@ -556,7 +556,7 @@ def _both_powers(recording: Recording, joints: Trajectory) -> dict[str, list[flo
 
 
 def _ratio(need: float, usual: float) -> float:
-    """A need relative to the given motion's; nothing of nothing is nothing."""
+    """A need relative to the given motion's; 0 if both need nothing."""
     return need / usual if usual else math.inf if need else 0.0
 
 

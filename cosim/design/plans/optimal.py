@@ -180,7 +180,7 @@ def refined(
         judged = judge.assess(candidate)
         excess, slower = excesses(judged), 1.0
         if few is not None and number == 0:
-            # the next programmes have the robots for which this motion was not made; vibration falls by and by
+            # the next programmes have the robots for which this motion was not made; the bound of the vibration falls step by step
             excess, loose = {}, judged.residual if judged.residual > ROUGH * judge.goals.wishes.residual else 0.0
         else:
             if judged.feasible:
@@ -269,7 +269,7 @@ def _shares(goals: Goals, given: Assessment) -> tuple[float, ...]:
 
 
 def _spline(joints: Trajectory) -> JointSpline:
-    """The spline next to a motion of the joints."""
+    """The spline that is closest to a motion of the joints."""
     return fitted(joints, INTERVALS, side="left", crowding=CROWDING)
 
 
