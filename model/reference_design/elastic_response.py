@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache, reduce
 from itertools import groupby
+from typing import Self
 
 import casadi
 import numpy as np
@@ -49,8 +50,8 @@ RENEWED, CONTRACTS = 10, 0.5
 """The matrices are renewed where more iterations than this are left at the rate of the last one, since a renewal takes as long as these,
 or where a change is larger than this share of the one before."""
 
-SHARED = 4
-"""Steps of a fleet that share a matrix: a fourth of the time for a renewal, and two or three iterations more."""
+SHARED = 8
+"""Steps of a fleet that share a matrix: an eighth of the time for a renewal and of its memory, and two or three iterations more."""
 
 TOGETHER = 3
 """Variants of a fleet that are solved together: as many as processor caches hold."""
@@ -140,27 +141,30 @@ class ElasticResponse:
         Raises:
             EquilibriumError: Newton's method doesn't converge.
         """
-        z = self._solved(references, duration)
-        if by is None:
-            by, matrices = np.empty((len(references), 6, 0)), None
-            values = self._values(z, references, duration)
-        else:
-            matrices = self._renewed(z, references, duration, derivatives=True)
-            values = matrices.values
-        n = self.model.n
+        z, n = self._solved(references, duration), self.model.n
         end = self._begins(z)[:, -1].copy()
         end[:, 1] /= duration
-        if matrices is None:
+        if by is None:
+            values = self._values(z, references, duration)
             out, end_by = np.empty((*values.shape[:2], values.shape[2] - n, 0)), np.empty((*end.shape, 0))
         else:
-            out, end_by = matrices.derivatives(by, end[:, 1], by_duration)
+            linear = self._linearised(z, references, duration)
+            values, explicit = linear.values, linear.by_references @ by.reshape(1, self.steps, 3, 6, -1)
+            if by_duration:
+                explicit[..., -1] += linear.by_duration
+            matrices = _Matrices(linear, self.steps)
+            out, end_by = matrices.derivatives(linear, explicit)
+            self._matrices = matrices.rounded()
+            end_by[:, 1] /= duration
+            if by_duration:
+                end_by[:, 1, :, -1] -= end[:, 1] / duration
         torque, position, loads = np.split(values[..., n:], (2, 4), axis=2)
         return Response(position, torque, end, out[:, :, 2:4], out[:, :, :2], end_by, loads, out[:, :, 4:])
 
     def transfer(self, duration: float) -> RealArray:
         """Elastic coordinates and rates at the end of the last motion by those at its start, (P, 2, n, 2, n)."""
         assert self._matrices is not None
-        found = self._matrices.transfer().reshape(-1, 2, self.model.n, 2, self.model.n)
+        found = self._matrices.transfer.reshape(-1, 2, self.model.n, 2, self.model.n)
         found[:, 1] /= duration
         found[..., 1, :] *= duration
         return found
@@ -168,7 +172,7 @@ class ElasticResponse:
     def _solved(self, references: RealArray, duration: float) -> RealArray:
         """Stage values z (P, N, n) that satisfy the equations of motion, by Newton's method with kept matrices."""
         z, before, n = self._guess, math.inf, self.model.n
-        matrices = self._matrices or self._renewed(z, references, duration, derivatives=False)
+        matrices = self._matrices or self._renewed(z, references, duration)
         for _ in range(ITERATIONS):
             change = matrices.solved(self._values(z, references, duration)[..., :n])
             size = float(np.abs(self._integrated(change, 0.0)[0]).max(initial=0.0))
@@ -180,7 +184,7 @@ class ElasticResponse:
                 break
             rate = size / before
             if rate > CONTRACTS or rate**RENEWED * size > self._accuracy:
-                matrices = self._renewed(z, references, duration, derivatives=False)
+                matrices = self._renewed(z, references, duration)
             before = size
         # the next motion starts anew
         self._guess, self._matrices = np.zeros_like(z), None
@@ -209,109 +213,119 @@ class ElasticResponse:
         q, rate = self._integrated(z)
         return self.model.values(q, rate / duration, z / duration**2, references)
 
-    def _renewed(self, z: RealArray, references: RealArray, duration: float, *, derivatives: bool) -> _Matrices:
-        (q, rate), shared = self._integrated(z), 1 if derivatives else self._shared
-        # the step in the middle of those that share a matrix
-        some = np.arange(3 * self.steps).reshape(-1, shared, 3)[:, shared // 2].ravel()
-        q, v, a = q[:, some], rate[:, some] / duration, z[:, some] / duration**2
-        values, jacobian = self.model.linearised(q, v, a, references[some])
-        self._matrices = _Matrices(values, jacobian, v, a, duration, self.steps)
-        if not derivatives:
-            self._matrices.outputs = None
+    def _renewed(self, z: RealArray, references: RealArray, duration: float) -> _Matrices:
+        self._matrices = None
+        self._matrices = _Matrices(self._linearised(z, references, duration, self._shared), self.steps).rounded()
         return self._matrices
 
-
-class _Matrices:
-    """The linearised equations of all steps: loads on the stages and the state s = [q, q'] at the start of a step give the next one.
-
-    Args:
-        values, jacobian: [forces, k outputs] (P, N, n + k) and their derivatives by [q, v, a, u], (P, N, n + k, 3 n + 6).
-        v, a: elastic rates and accelerations at the stages (P, N, n).
-        duration: T [s].
-        steps: number of steps; if they are more than N / 3, as many follow each other with the same equations.
-    """
-
-    def __init__(
-        self, values: RealArray, jacobian: RealArray, v: RealArray, a: RealArray, duration: float, steps: int
-    ) -> None:
-        self.values, self._duration = values, duration
-        (count, stages, n), h, rows = v.shape, 1.0 / steps, values.shape[2]
-        self._steps, steps = steps, stages // 3
-        self._shape = (count, steps, 3, n)
-        by_stage = jacobian.reshape(count, steps, 3, rows, 3 * n + 6)
-        by_q, by_v, by_a = (by_stage[..., i * n : (i + 1) * n] / duration**i for i in range(3))
-        # d[forces, outputs] of stage i by z of stage j, and by the state at the start of the step
+    def _linearised(self, z: RealArray, references: RealArray, duration: float, shared: int = 1) -> _Linearised:
+        """The equations of the step in the middle of each ``shared`` ones."""
+        (q, rate), h, n = self._integrated(z), 1.0 / self.steps, self.model.n
+        some = np.arange(3 * self.steps).reshape(-1, shared, 3)[:, shared // 2].ravel()
+        q, rate, z = q[:, some], rate[:, some], z[:, some]
+        values, jacobian = self.model.linearised(q, rate / duration, z / duration**2, references[some])
+        by = jacobian.reshape(len(z), -1, 3, *jacobian.shape[2:])
+        by_q, by_v, by_a = (by[..., i * n : (i + 1) * n] / duration**i for i in range(3))
+        # of stage i by z of stage j
         by_z = h * h * METHOD.twice[:, np.newaxis, :, np.newaxis] * by_q[..., np.newaxis, :]
         by_z += h * METHOD.matrix[:, np.newaxis, :, np.newaxis] * by_v[..., np.newaxis, :]
         for i in range(3):
             by_z[:, :, i, :, i] += by_a[:, :, i]
         by_state = np.concatenate([by_q, by_v + h * METHOD.nodes[:, np.newaxis, np.newaxis] * by_q], axis=-1)
-        by_z = by_z.reshape(count, steps, 3, rows, 3 * n)
-        self._inverse = np.linalg.inv(by_z[:, :, :, :n].reshape(count, steps, 3 * n, 3 * n))
-        self._of_state = by_state[:, :, :, :n].reshape(count, steps, 3 * n, 2 * n)
-        # from stage values to the next state, and from state to state
-        weights = np.stack([h * h * METHOD.whole_twice, h * METHOD.whole])
-        inverse = self._inverse.reshape(count, steps, 3, n * 3 * n)
-        self._next = (weights @ inverse).reshape(count, steps, 2 * n, 3 * n)
-        self._transition = np.kron(np.array([[1.0, h], [0.0, 1.0]]), np.eye(n)) - self._next @ self._of_state
-        # of the outputs and by the references, which derivatives alone need, once
-        self.outputs: tuple[RealArray, ...] | None = (by_z[:, :, :, n:], by_state[:, :, :, n:], by_stage, v, a)
+        rate, z = (each.reshape(*by_q.shape[:3], n, 1) for each in (rate, z))
+        by_duration = (by_v @ rate + 2.0 * (by_a @ z))[..., 0] / -duration
+        return _Linearised(values, by_z.reshape(*by_z.shape[:4], 3 * n), by_state, by[..., 3 * n :], by_duration)
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """[forces, k outputs] of P variants at three stages of each of S steps, linearised.
+
+    Attributes:
+        values: their values (P, 3 S, n + k).
+        by_z, by_state: derivatives by z of all stages of the step (P, S, 3, n + k, 3 n), and by the state [q, q'] at its start (..., 2 n).
+        by_references, by_duration: derivatives at constant z by [q_a, v_a, a_a] (..., 6) and by T, (P, S, 3, n + k).
+    """
+
+    values: RealArray
+    by_z: RealArray
+    by_state: RealArray
+    by_references: RealArray
+    by_duration: RealArray
+
+
+class _Matrices:
+    """The linear equations of all steps: z = inverse loads - by_state s in each, with the state s = [q, q'] at its start.
+
+    Args:
+        linear: the equations.
+        steps: number of steps; if they are more than those of the equations, as many follow each other with the same ones.
+    """
+
+    def __init__(self, linear: _Linearised, steps: int) -> None:
+        count, some, *_ = linear.by_z.shape
+        n = linear.by_z.shape[-1] // 3
+        self._steps, self._shared, h = steps, steps // some, 1.0 / steps
+        self._inverse = np.asarray(
+            np.linalg.inv(linear.by_z[:, :, :, :n].reshape(count, some, 3 * n, 3 * n)), dtype=float
+        )
+        self._by_state = self._inverse @ linear.by_state[:, :, :, :n].reshape(count, some, 3 * n, 2 * n)
+        self._weights = np.stack([h * h * METHOD.whole_twice, h * METHOD.whole])
+        self._transition = np.kron(np.array([[1.0, h], [0.0, 1.0]]), np.eye(n)) - self._added(self._by_state)
+
+    def rounded(self) -> Self:
+        """Keep single precision, with which Newton's method converges as fast."""
+        self._inverse, self._by_state = self._inverse.astype(np.float32), self._by_state.astype(np.float32)
+        return self
 
     def solved(self, loads: RealArray) -> RealArray:
         """z (P, N, n) under loads on the stages of the same shape, from rest."""
-        count, steps, _, n = self._shape
+        count, some, size, _ = self._inverse.shape
         # steps with the same matrices as columns
-        shared = self._steps // steps
-        right = loads.reshape(count, steps, shared, 3 * n).swapaxes(2, 3)
-        states = self._states((self._next @ right).swapaxes(2, 3).reshape(count, self._steps, 2 * n, 1))
-        states = states[:, :-1].reshape(count, steps, shared, 2 * n).swapaxes(2, 3)
-        return (self._inverse @ (right - self._of_state @ states)).swapaxes(2, 3).reshape(loads.shape)
+        right = loads.reshape(count, some, self._shared, size).swapaxes(2, 3)
+        found: RealArray = self._inverse @ right.astype(self._inverse.dtype)
+        states = self._states(self._added(found).swapaxes(2, 3).reshape(count, self._steps, 2 * size // 3, 1))
+        states = states[:, :-1].reshape(count, some, self._shared, 2 * size // 3).swapaxes(2, 3)
+        found -= self._by_state @ states.astype(self._by_state.dtype)
+        return found.swapaxes(2, 3).reshape(loads.shape)
 
-    def derivatives(self, by: RealArray, rate: RealArray, by_duration: bool) -> tuple[RealArray, RealArray]:
-        """Derivatives of the outputs (P, N, k, m) and of the end state (P, 2, n, m).
+    def derivatives(self, linear: _Linearised, explicit: RealArray) -> tuple[RealArray, RealArray]:
+        """Derivatives of the outputs (P, N, k, m) and of the end state [q, q'] (P, 2, n, m).
 
         Args:
-            by: derivatives of the references (N, 6, m).
-            rate: elastic rates at the end (P, n).
-            by_duration: whether the last variable is T.
+            linear: the equations of all steps.
+            explicit: derivatives of forces and outputs at constant z (P, S, 3, n + k, m).
         """
-        count, steps, _, n = self._shape
-        assert self.outputs is not None
-        (out_z, out_state, by_stage, v, a), self.outputs = self.outputs, None
-        k = self.values.shape[2] - n
-        out_z, out_state = out_z.reshape(count, steps, 3 * k, 3 * n), out_state.reshape(count, steps, 3 * k, 2 * n)
-        explicit = by_stage[..., 3 * n :] @ by.reshape(1, steps, 3, 6, -1)
-        if by_duration:
-            # at constant z
-            of_rates = by_stage[..., n : 2 * n] @ v.reshape(self._shape)[..., np.newaxis]
-            of_rates += 2 * (by_stage[..., 2 * n : 3 * n] @ a.reshape(self._shape)[..., np.newaxis])
-            explicit[..., -1] -= of_rates[..., 0] / self._duration
-        m = explicit.shape[-1]
+        (count, steps, _, rows, m), n = explicit.shape, self._inverse.shape[-1] // 3
         loads = -explicit[..., :n, :].reshape(count, steps, 3 * n, m)
-        states = self._states(self._next @ loads)
-        # outputs: z eliminated
-        through = out_z @ self._inverse
-        out = through @ loads + (out_state - through @ self._of_state) @ states[:, :-1]
+        states = self._states(self._added(self._inverse) @ loads)
+        # z eliminated
+        k = rows - n
+        by_z = linear.by_z[:, :, :, n:].reshape(count, steps, 3 * k, 3 * n)
+        by_state = linear.by_state[:, :, :, n:].reshape(count, steps, 3 * k, 2 * n) - by_z @ self._by_state
+        out = (by_z @ self._inverse) @ loads + by_state @ states[:, :-1]
         out = out.reshape(count, steps, 3, k, m) + explicit[..., n:, :]
-        end = states[:, -1].reshape(count, 2, n, m).copy()
-        end[:, 1] /= self._duration
-        if by_duration:
-            end[:, 1, :, -1] -= rate / self._duration
-        return out.reshape(count, 3 * steps, k, m), end
+        return out.reshape(count, 3 * steps, k, m), states[:, -1].reshape(count, 2, n, m).copy()
 
+    @property
     def transfer(self) -> RealArray:
         """The last state by the first, (P, 2 n, 2 n)."""
-        shared = self._steps // self._transition.shape[1]
-        found = np.linalg.matrix_power(self._transition, shared)
+        found = np.linalg.matrix_power(self._transition, self._shared)
         return reduce(lambda before, k: found[:, k] @ before, range(1, found.shape[1]), found[:, 0])
+
+    def _added(self, z: RealArray) -> RealArray:
+        """What z (P, S, 3 n, r) of steps add to the next states (P, S, 2 n, r)."""
+        count, steps, size, columns = z.shape
+        return (self._weights @ z.reshape(count, steps, 3, size // 3 * columns)).reshape(
+            count, steps, 2 * size // 3, columns
+        )
 
     def _states(self, loads: RealArray) -> RealArray:
         """States (P, steps + 1, 2 n, r) from rest, with additions (P, steps, 2 n, r) in each step."""
         count, steps, size, columns = loads.shape
         states = np.zeros((count, steps + 1, size, columns))
-        shared = steps // self._transition.shape[1]
         for k in range(steps):
-            states[:, k + 1] = self._transition[:, k // shared] @ states[:, k] + loads[:, k]
+            states[:, k + 1] = self._transition[:, k // self._shared] @ states[:, k] + loads[:, k]
         return states
 
 

@@ -1041,7 +1041,10 @@ class Stage:
             found = self._after_step(state, linear, step, penalty, fall)
             ratio = (self.merit(state) - self.merit(found)) / fall
             if ratio > 0.1:
-                state = self.state(found.motions)
+                motions = found.motions
+                # derivatives are large
+                del state, linear, found
+                state = self.state(motions)
                 linear = self.linear(state)
                 yield state
             penalty *= 4.0 if ratio < 0.1 else 2.0 if ratio < 0.4 else 0.4 if ratio > 0.8 else 1.0
@@ -1162,9 +1165,9 @@ def optimal_motion(
     penalty = PENALTY[0]
     for few, residual in stages:
         stage = stage_of(few, residual, {}, parts)
-        for state in stage.improvements(motions, iterations, penalty):
-            motions = state.motions
-            yield _improvement(state)
+        for found in map(_improvement, stage.improvements(motions, iterations, penalty)):
+            motions = found.motions
+            yield found
         penalty = max(PENALTY[0], min(4.0 * stage.penalty, 10.0))
     # all variants on the fine grid
     fine, excess = stage_of(np.arange(count), limit, {}, FINER * parts), dict[str, float]()
@@ -1183,9 +1186,9 @@ def optimal_motion(
             robots = np.unique(way.cases[chosen])
             each.vibration.error = there.end[robots] - here.end
             each.vibration.matrices = fine_way.vibration.matrices[robots]
-        for state in stage.improvements(motions, iterations, penalty):
-            motions = state.motions
-            yield _improvement(state)
+        for found in map(_improvement, stage.improvements(motions, iterations, penalty)):
+            motions = found.motions
+            yield found
         exact = fine.scaled(fine.state(motions, derivatives=False, renewed=True))
         met = bool((exact.violations <= CHECKED).all())
         yield replace(_improvement(exact), checked=met)

@@ -8,6 +8,7 @@ On the given path the end effector of the flexible robot makes the given motion.
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -329,6 +330,8 @@ def _attempt(
 
     def best() -> Any:
         last: optimal_control.Improvement | None = None
+        # recordings of what was judged are in cycles of references
+        gc.collect()
         pauses = sum(each.pause or 0.0 for each in goals.ways)
         # few cases have no others between them
         some = nodes if max(nodes) < len(ways[0].cases) else range(len(ways[0].cases))
