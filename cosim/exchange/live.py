@@ -65,6 +65,7 @@ from flexfmu.model.beams import Shape, scene_shapes
 from flexfmu.model.scene.assembly import bases
 from flexfmu.model.scene.errors import EquilibriumError, SceneError, SceneWarning
 from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.imperfections import DelaySection
 from flexfmu.model.scene.keys import full_key
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.scene.schema import Scene
@@ -298,7 +299,11 @@ def _simulated(run: Run, *, is_exact: bool) -> dict[str, Any]:
         raise InputError("the run did not finish")
     if run.scene.cosimulation.step_control is not None:
         raise InputError("its communication steps are controlled")
-    prepared = PreparedScene(run.scene, motion=run.plan if _has_object(run) else None, **_options(run))
+    motion, options = run.plan if _has_object(run) else None, _options(run)
+    try:
+        prepared = PreparedScene(_tunable(run.scene), motion=motion, **options)
+    except CosimError:  # a loop that only a delay of a sample breaks
+        prepared = PreparedScene(run.scene, motion=motion, **options)
     kinds = (BlockSlave, TrajectorySlave)
     slaves = [each for each in prepared.parts.slaves if each is not prepared.parts.plant]
     if outside := [f"{each.name} ({type(each).__name__})" for each in slaves if not isinstance(each, kinds)]:
@@ -321,7 +326,15 @@ def _simulated(run: Run, *, is_exact: bool) -> dict[str, Any]:
         }
     if not texts or root.find("CoSimulation") is None:
         raise InputError(f"{run.fmu_path.name} has no C sources")
-    return {**_facts(run, prepared, image, grid, root), "module": _compiled(texts, blocks)}
+    return {**_facts(run, again, prepared, image, grid, root), "module": _compiled(texts, blocks)}
+
+
+def _tunable(scene: Scene) -> Scene:
+    """The scene with delays that are parameters, where they aren't and can be; it has the same bits."""
+    sections = enumerate(scene.imperfection)
+    delays = {n: each for n, each in sections if isinstance(each, DelaySection) and each.longest is None}
+    linear = {n: each.time for n, each in delays.items() if each.time and each.interpolation.kind == "linear"}
+    return scene.replace({f"imperfection[{n}].longest": SPREAD * time for n, time in linear.items()})
 
 
 def _has_object(run: Run) -> bool:
@@ -440,8 +453,10 @@ def _scales(widths: RealArray) -> RealArray:
     return hermite_scales(2 * ENDS, 2, widths).reshape(2 * ENDS, -1).T
 
 
-def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, grid: dict[str, Any], root: Any) -> dict[str, Any]:
-    """What the page knows beside the module."""
+def _facts(
+    run: Run, again: Run, prepared: PreparedScene, image: ProgramImage, grid: dict[str, Any], root: Any
+) -> dict[str, Any]:
+    """What the page knows beside the module, of a run and the same with tunable delays."""
     parts, schedule, recorder = prepared.parts, prepared.simulator.schedule, prepared.simulator.recorder
     model = model_facts(root)
     task, plan = _knots(run.plan.task), run.plan
@@ -475,7 +490,7 @@ def _facts(run: Run, prepared: PreparedScene, image: ProgramImage, grid: dict[st
         "band": run.scene.cosimulation.settling_band,
         "divergence": _divergence(run),
         "breakpoints": [float(each) for each in parts.references.breakpoints],
-        **_sliders(run, prepared, model["variables"], starts, image.parameters),
+        **_sliders(again, prepared, model["variables"], starts, image.parameters),
         "robot": _robot(run.robot),
         "clocks": [
             [slave.sample_time, slave.offset]
@@ -619,7 +634,7 @@ def _powers(
         found.append({name: log(ratio) / log(factor) for name, ratio in ratios.items()})
     powers = {name: round(power) for name, power in found[0].items()}
     exact = all(abs(each.get(name, nan) - power) < EXACT for each in found for name, power in powers.items())
-    return powers if exact else {}
+    return powers if exact and all(powers.values()) else {}
 
 
 def _span(scene: Scene, key: str, value: float) -> tuple[float, float]:

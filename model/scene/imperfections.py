@@ -107,7 +107,8 @@ class DelaySection(SignalSection):
 
     For fractions of a sample, `interpolation` is "linear", `{ kind = "lagrange", order = 3 }` or
     `{ kind = "thiran", order = 2 }`. A `known` delay of a measurement delays the references of the same kind as well, as of
-    controllers that know its time stamps: they compare what belongs to the same instant.
+    controllers that know its time stamps: they compare what belongs to the same instant. With a `longest` delay the
+    block keeps samples for that one, and `time` is a tunable parameter of it.
     """
 
     kind: Literal["delay"]
@@ -115,6 +116,17 @@ class DelaySection(SignalSection):
     time: section.SecondsOrZero
     interpolation: InterpolationSection = LinearSection()
     known: bool = False
+    longest: section.SecondsOrZero | None = None
+
+    @model_validator(mode="after")
+    def _tunable_are_linear(self) -> Self:
+        if self.longest is None:
+            return self
+        if self.interpolation.kind != "linear":
+            raise ValueError(f'a `longest` delay needs `interpolation = "linear"`, got "{self.interpolation.kind}"')
+        if self.longest < self.time:
+            raise ValueError(f"`longest` must be at least `time`, {self.time:g} s, got {self.longest:g} s")
+        return self
 
     @model_validator(mode="after")
     def _known_are_measurements(self) -> Self:

@@ -45,6 +45,7 @@ def delay(
     time: float,
     interpolation: Literal['linear'] | Mapping[str, Any] = ...,
     known: bool = ...,
+    longest: float | None = ...,
 ) -> DelaySection: ...
 def encoder(
     *,

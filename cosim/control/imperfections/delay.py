@@ -7,7 +7,7 @@ IEEE Signal Processing Magazine 13(1), 1996, pp. 30-60.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import comb, floor, prod
+from math import ceil, comb, floor, prod
 
 import casadi
 
@@ -16,7 +16,7 @@ from flexfmu.cosim.control.imperfections.channels import REFERENCE_KINDS, Channe
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.imperfections import DelaySection
-from flexfmu.model.symbolic import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 VECTORISED_FROM = 100
 """Size of the memory from which vector operations (MX) are faster than scalar ones (SX)."""
@@ -109,7 +109,7 @@ def delay(s: DelaySection, context: LoopContext) -> SymbolicBlock:
     """y(t_k) = u(t_k - time), interpolated between the samples; a whole number of samples is exact.
 
     A delay of whole samples before the filter leaves no direct feedthrough and breaks algebraic loops; with linear interpolation
-    these are delays of one sample and more. Before the first sample signals have the channels' initial values, or without these
+    these are delays of one sample and more. With a `longest` delay the tunable parameter ``time`` is zero to that. Before the first sample signals have the channels' initial values, or without these
     the value of the first sample. The filter acts on differences from the oldest sample, so that a constant signal stays the same
     to the last bit.
 
@@ -119,6 +119,8 @@ def delay(s: DelaySection, context: LoopContext) -> SymbolicBlock:
     channels = Channels(s, context, REFERENCE_KINDS)
     if s.known:
         channels.add(s.signal, context.before(s.signal), "reference.")
+    if s.longest is not None:
+        return _tunable(s.time, s.longest, channels)
     samples, rule = s.time / channels.h, s.interpolation
     whole = float(round(samples))
     samples = whole if abs(samples - whole) <= WHOLE * samples else samples
@@ -149,4 +151,35 @@ def delay(s: DelaySection, context: LoopContext) -> SymbolicBlock:
         memory=size,
         latency=design.samples * channels.h,
         symbol=casadi.MX if size >= VECTORISED_FROM else casadi.SX,
+    )
+
+
+def _tunable(time: float, longest: float, channels: Channels) -> SymbolicBlock:
+    """The delay with linear interpolation as a parameter, which has the bits of the one with a fixed delay."""
+    n, h = len(channels), channels.h
+    depth = ceil(longest / h) + 1
+
+    def law(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        initial, late = cut(p, p.numel() - 1, 1)
+        signal = casadi.vertcat(u, recall(x, repeated(channels.start(initial, u), depth)))
+        samples = late / h
+        nearest = casadi.floor(samples + 0.5)
+        samples = casadi.if_else(casadi.fabs(samples - nearest) <= WHOLE * samples, nearest, samples)
+        whole = casadi.floor(samples)
+
+        def past(place: Vector) -> Vector:
+            return sum(casadi.if_else(place == i, each, 0.0) for i, each in enumerate(casadi.vertsplit(signal, n)))
+
+        newer, older = past(whole), past(whole + 1.0)
+        between = older + (1.0 - (samples - whole)) * (newer - older)
+        return casadi.if_else(samples == whole, newer, between), remember(*cut(signal, n * depth))
+
+    parameter = Variable("time", "s", "Delay", "parameter", time, 0.0, longest, tunable=True)
+    return channels.block(
+        f"Delay of up to {longest:.9g} s",
+        law,
+        [*channels.starts, parameter],
+        memory=n * depth,
+        latency=time,
+        symbol=casadi.MX if n * depth >= VECTORISED_FROM else casadi.SX,
     )

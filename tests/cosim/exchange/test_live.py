@@ -59,14 +59,32 @@ def stiction() -> Scene:
     return load_scene("barnard2012-6kg").replace({**changes, "controller": [controller]})
 
 
+LOOP = {
+    "cosimulation.drive": "torque",
+    "effects.motor_inertia": 0.1,
+    "mechanism.proximal.inner_diameter": 0.025,
+    "effects.gravity": [1.0, -9.81],
+    "trajectory.duration": 0.6,
+    "trajectory.dwell": 0.1,
+}
+"""A robot under a controller, on a hollow arm, leaning."""
+
+PD = {"kind": "pd", "proportional": [5e3, 4e3], "derivative": 50.0, "sample_time": 1e-3}
+
 SCENES: dict[str, Any] = {
     "barnard2012-6kg": "barnard2012-6kg",
     "barnard2012-0.1kg": "barnard2012-0.1kg",
     "starter": "starter",
     "loop": EXAMPLES / "controller_scene.toml",
     "stiction": None,
-    "sampled shaper": None,
+    "sampled shaper": {"shaper": [{"kind": "zv", "apply": "sampled", "sample_time": 1e-3}]},
+    "delays": {
+        **LOOP,
+        "controller": [PD],
+        "imperfection": [{"kind": "delay", "signal": "position", "time": 4e-4}, {"kind": "delay", "time": 1e-3}],
+    },
 }
+"""Shipped scenes, files, and changes of the 6 kg scene."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -97,12 +115,12 @@ def numbers(text: str) -> Any:
     return np.frombuffer(base64.b64decode(text))
 
 
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 @pytest.mark.parametrize("name", SCENES)
 def test_node_gives_the_bits_of_the_run(name: str, tmp_path: Path) -> None:
-    """All signals with their derivatives, of all shipped scenes, a loop with encoder and lag, and friction that sticks; so do the metrics."""
-    sampled = {"shaper": [{"kind": "zv", "apply": "sampled", "sample_time": 1e-3}]}
-    own = stiction() if name == "stiction" else load_scene("barnard2012-6kg").replace(sampled)
-    run = flexfmu.run(SCENES[name] or own)
+    """All signals with their derivatives, of all shipped scenes, loops with encoder, lag and delays, friction that sticks; so do the metrics."""
+    scene = SCENES[name] or stiction()
+    run = flexfmu.run(load_scene("barnard2012-6kg").replace(scene) if isinstance(scene, dict) else scene)
     (found,) = simulated(run, tmp_path, {})
     assert numbers(found["time"]).tobytes() == run.recording.time.tobytes()
     for signal, orders in found["signals"].items():
@@ -139,18 +157,6 @@ def test_sliders_are_runs_with_other_parameters(tmp_path: Path) -> None:
     assert found["metrics"]["peak_torque_1"] == pytest.approx(expected["peak_torque_1"].value, rel=1e-9)
 
 
-LOOP = {
-    "cosimulation.drive": "torque",
-    "effects.motor_inertia": 0.1,
-    "mechanism.proximal.inner_diameter": 0.025,
-    "effects.gravity": [1.0, -9.81],
-    "trajectory.duration": 0.6,
-    "trajectory.dwell": 0.1,
-}
-"""A robot under a controller, on a hollow arm, leaning."""
-
-PD = {"kind": "pd", "proportional": [5e3, 4e3], "derivative": 50.0, "sample_time": 1e-3}
-
 COPIED: dict[str, dict[str, Any]] = {
     "rigid drive": {
         "effects.damping": {"kind": "stiffness", "time": 1e-4},
@@ -163,6 +169,7 @@ COPIED: dict[str, dict[str, Any]] = {
         "imperfection": [
             {"kind": "payload-error", "relative": 0.1},
             {"kind": "encoder", "counts_per_turn": 1e5},
+            {"kind": "delay", "signal": "velocity", "time": 2e-4},
             {"kind": "lag", "time_constant": 2e-4, "sample_time": 1e-4},
         ],
     },
@@ -172,6 +179,7 @@ COPIED: dict[str, dict[str, Any]] = {
         "controller": [{**PD, "proportional": 3e3}, {"kind": "gravity-feedforward", "sample_time": 1e-3}],
         "imperfection": [
             {"kind": "lag", "name": "motor", "time_constant": 1e-4, "sample_time": 1e-4},
+            {"kind": "delay", "time": 4e-4, "sample_time": 1e-4},
             {"kind": "saturation", "limit": 90.0},
         ],
     },

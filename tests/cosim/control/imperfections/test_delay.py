@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from typing import Any
 
@@ -13,6 +14,8 @@ from hypothesis import strategies as st
 from scipy.signal import group_delay, lfilter
 
 from flexfmu.cosim.control.imperfections.delay import VECTORISED_FROM, DelayFilter, lagrange, thiran
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene
 
 H = 1e-3
 Rule = dict[str, Any]
@@ -126,3 +129,24 @@ def test_vectorised_and_scalar_lines_agree(monkeypatch: pytest.MonkeyPatch) -> N
         monkeypatch.setattr("flexfmu.cosim.control.imperfections.delay.VECTORISED_FROM", limit)
         results.append(sampled(delay(60.4 * H, rule("thiran", 2), sample_time=H, initial=(0.1, 0.2)), u))
     np.testing.assert_array_equal(*results)
+
+
+@settings(max_examples=40, deadline=None)
+@given(late=st.integers(0, 6) | EXTRA, longest=st.floats(0.0, 40.0), seed=st.integers(0, 99))
+def test_a_tunable_delay_has_the_bits_of_a_fixed_one(late: float, longest: float, seed: int) -> None:
+    """Zero, whole samples and fractions, with and without values before the first sample, with scalar and with vector operations."""
+    u, initial = np.random.default_rng(seed).normal(size=(20, 2)), (0.3, -0.2) if seed % 2 else ()
+    given = {"signal": "position", "sample_time": H, "initial": initial}
+    tunable = delay(0.0, longest=(late + longest) * H, **given)
+    np.testing.assert_array_equal(sampled(tunable, u, {"time": late * H}), sampled(delay(late * H, **given), u))
+
+
+def test_a_tunable_delay_is_linear_and_no_longer_than_the_longest() -> None:
+    scene = load_scene("barnard2012-6kg")
+    for changes, message in (
+        ({"interpolation": {"kind": "thiran", "order": 2}}, 'needs `interpolation = "linear"`, got "thiran"'),
+        ({"time": 5e-3}, "`longest` must be at least `time`, 0.005 s, got 0.004 s"),
+    ):
+        section = {"kind": "delay", "time": 2e-3, "longest": 4e-3} | changes
+        with pytest.raises(SceneError, match=re.escape(message)):
+            scene.replace({"imperfection": [section]})
