@@ -49,7 +49,7 @@ from flexfmu.cosim.many.prepared_scene import PreparedScene, run_scene
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.segments import control_matrices, quadrature_of
 from flexfmu.cosim.reports.page import Figure, Live, Page, with_few_points
-from flexfmu.cosim.reports.plots import FEW_FRAMES, FRAMES, LONGEST, draw_plots
+from flexfmu.cosim.reports.plots import draw_plots
 from flexfmu.cosim.reports.report import report_page
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.fmu_build.block_build import sample_function
@@ -61,8 +61,6 @@ from flexfmu.fmu_build.sources import Sources, c_files
 from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, RUNTIME_FLAGS, WASM, find_compiler
 from flexfmu.fmu_build.trajectory_table import TrajectoryTable, tabulate
 from flexfmu.fmu_build.wasm_module import model_facts
-from flexfmu.model.beams import Shape, scene_shapes
-from flexfmu.model.scene.assembly import bases
 from flexfmu.model.scene.errors import EquilibriumError, SceneError, SceneWarning
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.imperfections import DelaySection
@@ -163,7 +161,7 @@ def live_page(run: Run) -> str:
 def live_report(run: Run, summary: Mapping[str, Any], rest: RealArray | None) -> Page:
     """The same with a summary, and where the robot rests (2,) [m], None for no dwell."""
     live = simulating([("", live_run(run)), *_alternatives(run)])
-    return report_page(summary, draw_plots(run, rest, FEW_FRAMES if live.packed else FRAMES), live)
+    return report_page(summary, draw_plots(run, rest), live)
 
 
 def _alternatives(run: Run) -> Iterator[tuple[str, LiveRun]]:
@@ -249,7 +247,7 @@ def swept_page(page: Page, scene: Scene, swept: Mapping[str, tuple[float, float]
         live = replace(live, reasons=[f"other values of {', '.join(fixed)}, which stay as in the scene"])
     if not found.facts:
         return replace(page, live=live)
-    first, *others = (each for each in draw_plots(run, _rest(run), FEW_FRAMES) if each.key in SWEPT_PLOTS)
+    first, *others = (each for each in draw_plots(run, _rest(run)) if each.key in SWEPT_PLOTS)
     metrics, tiles = measure_run(run), list[tuple[str, Sequence[str]]]()
     for name, (label, ends) in zip(names, page.tiles, strict=False):
         value = Figure.of(name, metrics[name].value, digits=4, error=metrics[name].error)
@@ -491,7 +489,6 @@ def _facts(
         "divergence": _divergence(run),
         "breakpoints": [float(each) for each in parts.references.breakpoints],
         **_sliders(again, prepared, model["variables"], starts, image.parameters),
-        "robot": _robot(run.robot),
         "clocks": [
             [slave.sample_time, slave.offset]
             for i in schedule.due
@@ -721,26 +718,6 @@ def _divergence(run: Run) -> dict[str, float]:
         "onTheMove": ON_THE_MOVE * speed,
     }
     return sizes | {"growth": GROWTH_AT_REST, "lasting": LASTING}
-
-
-def _robot(scene: Scene) -> dict[str, Any]:
-    """What the animation needs: bases, lengths, and shapes of the links at points along them."""
-    shapes: Mapping[Any, Sequence[Shape]] = scene_shapes(scene)
-    found = []
-    for leg in (1, 2):
-        for number, family in enumerate(("proximal", "distal"), start=1):
-            known = shapes.get((family, "bending"), ())
-            signals = [f"link{leg}{number}.bending[{mode}]" for mode in range(1, len(known) + 1)]
-            xi = np.linspace(0.0, 1.0, 2 * len(known) + 3 if known else 2)
-            matrix = np.array([shape.value(xi) for shape in known]).T.tolist() if known else [[], []]
-            found.append({"signals": signals, "matrix": matrix})
-    mechanism = scene.mechanism
-    return {
-        "bases": [list(each) for each in bases(mechanism)],
-        "length": mechanism.proximal.length,
-        "shapes": found,
-        "longest": LONGEST,
-    }
 
 
 def _knots(trajectory: Trajectory) -> TrajectoryTable:

@@ -2,23 +2,20 @@
 
 The report's picture of the scene: the path, and the rigid mechanism at start, middle and end of the motion.
 
-The robot's motion with magnified deflections: points of the bent links over time, and the end effector's path.
-
-A point is drawn at p_rigid + m (p - p_rigid): the rigid robot's, which follows its path exactly, at the same time, plus the deviation
-from it, m times. Proximal links bend by the scene's shape functions with the recorded modal coordinates, and stretch evenly; distal
-links bend about the straight line from elbow to end effector, the end effector being the recorded one.
+The robot's motion with magnified deflections, of which the page's script draws the links: a point at p_rigid + m (p - p_rigid), the
+rigid robot's, which follows its path exactly, at the same time, plus the deviation from it, m times. Proximal links bend by the scene's
+shape functions with the recorded modal coordinates, and stretch evenly; distal links bend about the straight line from elbow to end
+effector, the end effector being the recorded one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from math import floor, log10
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import RealArray
@@ -41,20 +38,17 @@ from flexfmu.cosim.reports.page import HEIGHT, WIDTH, Plot
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 from flexfmu.cosim.reports.work_precision import tried_settings
 from flexfmu.model.beams import Shape, scene_shapes, tip_force_bending
-from flexfmu.model.scene.assembly import bases, elbows
+from flexfmu.model.scene.assembly import bases, elbows, motor_angles
 from flexfmu.model.scene.schema import Scene
 
-FRAMES, DURATION = 401, 6.0
+FRAMES, DURATION = 301, 6.0
 """Largest number of instants of the animation, and how long it lasts [s]."""
-
-STUDY_FRAMES, FEW_FRAMES = 121, 41
-"""The same in a page about several runs, and in one that simulates, which has more from its own run."""
 
 REFERENCES = ("joint1.reference.position", "joint2.reference.position")
 """Planned angles of the joints."""
 
-LINKS = ((INK, 3.2), (FIRST, 2.2)) * 2
-"""Colour and width of each link, proximal and distal, of both legs."""
+LINKS = ((INK, 3.2), (FIRST, 2.2))
+"""Colour and width of a leg's links, proximal and distal."""
 
 LONGEST = 1.2
 """Time before the end of a run that is shown [s]: of several cycles the last, in enough instants for its vibration."""
@@ -67,106 +61,69 @@ ROUNDING = 1e-9
 """Deviation relative to that length below which nothing is magnified."""
 
 
-@dataclass(frozen=True)
-class BentRobot:
-    """Points along the links of a robot at some instants of its motion.
-
-    Attributes:
-        time: (F,) instants of the recording [s].
-        rigid: (F, P, 2) points of the rigid robot [m]; the last one is the end effector.
-        deviation: (F, P, 2) deviations of the flexible robot's points from them [m].
-        links: indices of the points of each link, from its beginning to its end: both of leg 1, then those of leg 2.
-    """
-
-    time: RealArray
-    rigid: RealArray
-    deviation: RealArray
-    links: tuple[tuple[int, ...], ...]
-
-    @cached_property
-    def magnification(self) -> float:
-        """Factor 1, 2 or 5 times a power of ten, at least 1, that makes deviations visible."""
-        length = float(np.linalg.norm(self.rigid[0, self.links[0][-1]] - self.rigid[0, self.links[0][0]]))
-        largest = float(np.nanmax(np.linalg.norm(self.deviation[:, -1], axis=1), initial=0.0))
-        if largest < ROUNDING * length:
-            return 1.0
-        wanted = VISIBLE * length / largest
-        power = 10.0 ** floor(log10(wanted)) if wanted > 1.0 else 1.0
-        return power * max(factor for factor in (1.0, 2.0, 5.0) if factor * power <= max(wanted, 1.0))
-
-    @property
-    def extent(self) -> RealArray:
-        """(2, 2) lowest and highest x and y of all drawn points at all instants [m].
-
-        A robot that runs away leaves the axes where it is more than a proximal link's length beyond all rigid poses.
-        """
-        length = float(np.linalg.norm(self.rigid[0, self.links[0][-1]] - self.rigid[0, self.links[0][0]]))
-        low, high = self.rigid.min(axis=(0, 1)) - length, self.rigid.max(axis=(0, 1)) + length
-        drawn = np.clip(self.rigid + self.magnification * np.nan_to_num(self.deviation), low, high)
-        return np.stack([drawn.min(axis=(0, 1)), drawn.max(axis=(0, 1))])
-
-    def data(self) -> dict[str, Any]:
-        """Return what the page's script animates."""
-        chains = [
-            {"points": points, "colour": colour, "width": width}
-            for points, (colour, width) in zip(self.links, LINKS, strict=True)
-        ]
-        return {
-            "count": self.rigid.shape[1],
-            "instants": self.time.size,
-            "chains": chains,
-            "magnification": self.magnification,
-            "slower": max(1.0, round(DURATION / float(self.time[-1] - self.time[0]), 1)),
-            "points": packed(self.time, self.rigid, self.deviation),
-        }
-
-
 def rigid_motion(plan: MotionPlan) -> Recording:
     """What bends no link: the planned motion as a recording."""
-    time = np.linspace(0.0, plan.duration, STUDY_FRAMES)
+    time = np.linspace(0.0, plan.duration, FRAMES)
     values = dict(zip(POSITION, plan.task.evaluate(time, 0)[0].T, strict=True))
     values |= dict(zip(REFERENCES, plan.joints.evaluate(time, 0)[0].T, strict=True))
     return Recording(time, {name: Column("", each) for name, each in values.items()})
 
 
-def bent_robot(plan: MotionPlan, recording: Recording, scene: Scene, most: int = FRAMES) -> BentRobot:
-    """Return the robot in the last `LONGEST` seconds of a recording, at instants that are about equally spaced.
+def robot_motion(plan: MotionPlan, recording: Recording, scene: Scene) -> dict[str, Any]:
+    """Return what the page's script bends and moves the robot by, ``Motion`` in page.js, in the last `LONGEST` seconds of a recording.
+
+    Its instants are about equally spaced.
 
     Args:
         plan: the rigid robot's motion.
         recording: with at least two instants.
         scene: with the robot's own parameters.
-        most: largest number of instants.
     """
-    grid = np.linspace(recording.time[_shown(recording)][0], recording.time[-1], most)
+    grid = np.linspace(recording.time[_shown(recording)][0], recording.time[-1], FRAMES)
     index = np.minimum(recording.time.searchsorted(grid), recording.time.size - 1)
     index = index[np.diff(index, prepend=-1) > 0]
-    time, shapes = recording.time[index], scene_shapes(scene)
-    end = np.stack([recording[name].values[index] for name in POSITION], axis=1)
-    rigid_end = plan.task.evaluate(np.minimum(time, plan.duration), 0)[0]
-    rigid_elbows = np.array([elbows(scene.mechanism, (x, y)) for x, y in rigid_end.tolist()])
-    # leg by leg: base to elbow, and what lies between elbow and end effector
-    rigid, bent, links, count = list[RealArray](), list[RealArray](), list[list[int]](), 0
-    for leg, base in enumerate(bases(scene.mechanism), start=1):
-        origin = np.broadcast_to(np.array(base), end.shape)
-        proximal = _bending(recording, index, f"link{leg}1", shapes.get(("proximal", "bending"), ()))
-        distal = _bending(recording, index, f"link{leg}2", shapes.get(("distal", "bending"), ()))
-        angle = _values(recording, index, f"joint{leg}.position", f"joint{leg}.reference.position")
-        angle = angle + _values(recording, index, f"joint{leg}.twist")
-        length = scene.mechanism.proximal.length + _values(recording, index, f"link{leg}1.elongation")
-        along = length[:, np.newaxis] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        bent_link = _points(origin, origin + along, proximal)
-        elbow = rigid_elbows[:, leg - 1]
-        rigid += [_points(origin, elbow, 0.0 * proximal), _points(elbow, rigid_end, 0.0 * distal)[:, 1:-1]]
-        bent += [bent_link, _points(bent_link[:, -1], end, distal)[:, 1:-1]]
-        first, second = proximal.shape[1], distal.shape[1] - 2
-        links += [list(range(count, count + first)), list(range(count + first - 1, count + first + second))]
-        count += first + second
-    links[1].append(count)
-    links[3].append(count)
-    fixed = np.concatenate([*rigid, rigid_end[:, np.newaxis]], axis=1)
-    moved = np.concatenate([*bent, end[:, np.newaxis]], axis=1)
-    return BentRobot(time, fixed, moved - fixed, tuple(map(tuple, links)))
+    time, mechanism, shapes = recording.time[index], scene.mechanism, scene_shapes(scene)
+    rigid = plan.task.evaluate(np.minimum(time, plan.duration), 0)[0]
+    deviation = np.stack([recording[name].values[index] for name in POSITION], axis=1) - rigid
+    rows, legs = [time, *rigid.T, *deviation.T], list[dict[str, Any]]()
+    angles = np.array([motor_angles(mechanism, (x, y)) for x, y in rigid.tolist()]).T
+    for leg, (base, rigid_angle, elbow) in enumerate(
+        zip(bases(mechanism), angles, elbows(mechanism, tuple(rigid[0].tolist())), strict=True), start=1
+    ):
+        names = [f"joint{leg}.{kind}" for kind in ("position", "reference.position")]
+        angle = [*[each for each in names if each in recording.columns][:1], f"joint{leg}.twist"]
+        signals, matrices = [angle, [f"link{leg}1.elongation"]], list[Any]()
+        own = shapes.get(("proximal", "bending"), ()), shapes.get(("distal", "bending"), ())
+        for number, each in enumerate(own, start=1):
+            bending, matrix = _bending(recording, f"link{leg}{number}", each)
+            signals += [[name] for name in bending]
+            matrices.append(matrix)
+        signals = [[name for name in each if name in recording.columns] for each in signals]
+        values = [sum((recording[name].values[index] for name in each), np.zeros(index.size)) for each in signals]
+        values[0] = np.remainder(values[0] - rigid_angle + np.pi, 2.0 * np.pi) - np.pi
+        rows += values
+        (x, y), (dx, dy) = np.subtract(rigid[0], base), np.subtract(elbow, base)
+        legs.append({"base": base, "side": np.sign(x * dy - y * dx), "shapes": matrices, "signals": signals})
+    return {
+        "legs": legs,
+        "lengths": [mechanism.proximal.length, mechanism.distal.length],
+        "links": LINKS,
+        "magnification": magnification(deviation, mechanism.proximal.length),
+        "slower": max(1.0, round(DURATION / float(time[-1] - time[0]), 1)),
+        "longest": LONGEST,
+        "rows": len(rows),
+        "points": packed(*rows),
+    }
+
+
+def magnification(deviation: RealArray, length: float) -> float:
+    """Factor 1, 2 or 5 times a power of ten, at least 1, that makes deviations (F, 2) visible beside a proximal link's length [m]."""
+    largest = float(np.nanmax(np.linalg.norm(deviation, axis=1), initial=0.0))
+    if largest < ROUNDING * length:
+        return 1.0
+    wanted = VISIBLE * length / largest
+    power = 10.0 ** floor(log10(wanted)) if wanted > 1.0 else 1.0
+    return power * max(factor for factor in (1.0, 2.0, 5.0) if factor * power <= max(wanted, 1.0))
 
 
 def path_panel(run: Run, magnification: float) -> Panel:
@@ -193,32 +150,16 @@ def _shown(recording: Recording) -> slice:
     return slice(int(recording.time.searchsorted(recording.time[-1] - LONGEST)), None)
 
 
-def _bending(recording: Recording, index: NDArray[np.intp], link: str, shapes: tuple[Shape, ...]) -> RealArray:
-    """Return the displacement of points along a link normal to it (F, n) [m], n = 2 for a link that stays straight."""
+def _bending(recording: Recording, link: str, shapes: tuple[Shape, ...]) -> tuple[list[str], list[list[float]]]:
+    """Return the signals that bend a link, and what each displaces points along the link by (n, modes); n = 2 for one that stays straight."""
     names = [f"{link}.bending[{mode}]" for mode in range(1, len(shapes) + 1)]
     if not all(name in recording.columns for name in names):
         # the deflection of the tip alone, with the shape of a force there
         names, shapes = [f"{link}.tip_deflection"], (tip_force_bending(),)
     if not shapes or not all(name in recording.columns for name in names):
-        return np.zeros((index.size, 2))
+        return [], [[], []]
     xi = np.linspace(0.0, 1.0, 2 * len(shapes) + 3)
-    coordinates = np.stack([recording[name].values[index] for name in names], axis=1)
-    return np.asarray(coordinates @ np.array([shape.value(xi) for shape in shapes]))
-
-
-def _points(start: RealArray, end: RealArray, normal: RealArray) -> RealArray:
-    """Return points (F, n, 2) from start to end (F, 2), displaced to the left by ``normal`` (F, n)."""
-    along = end - start
-    unit = along / np.linalg.norm(along, axis=1, keepdims=True)
-    left = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
-    xi = np.linspace(0.0, 1.0, normal.shape[1])[:, np.newaxis]
-    return np.asarray(start[:, np.newaxis] + xi * along[:, np.newaxis] + normal[:, :, np.newaxis] * left[:, np.newaxis])
-
-
-def _values(recording: Recording, index: NDArray[np.intp], *names: str) -> RealArray:
-    """Return the values of the first of the signals that was recorded, zeros where none was."""
-    found = next((name for name in names if name in recording.columns), None)
-    return np.zeros(index.size) if found is None else recording[found].values[index]
+    return names, np.array([shape.value(xi) for shape in shapes]).T.tolist()
 
 
 POSES = (1.0, 0.25, 0.5)
@@ -228,29 +169,29 @@ POSE = "pose"
 """Class of what is hidden while the mechanism moves."""
 
 
-def scene_panel(plan: MotionPlan, robot: BentRobot) -> Panel:
-    """Return the path and the mechanism, to scale [m], with room for all of the robot's motion.
+def scene_panel(plan: MotionPlan, robot: Mapping[str, Any]) -> Panel:
+    """Return the path and the mechanism, to scale [m].
 
     The poses are hidden where the page's script animates the robot.
     """
-    once = plan.once
-    poses = bent_robot(once, rigid_motion(once), once.scene)
-    (x, y), (width, height), at = poses.rigid[:, -1].T, robot.extent.T, np.linspace(0, poses.time.size - 1, len(POSES))
-    curves = [Curve(x, y, "", SECOND, 1.8, 0.6, is_read=False), Curve(width, height, width=0.0, is_read=False)]
-    ends = (("start", 0), ("end", -1))
-    markers = [Marker(float(x[i]), float(y[i]), text=text, offset=(6.0, -6.0)) for text, i in ends]
+    once, mechanism = plan.once, plan.once.scene.mechanism
+    path = once.task.evaluate(np.linspace(0.0, once.duration, FRAMES), 0)[0]
+    curves = [Curve(path[:, 0], path[:, 1], "", SECOND, 1.8, 0.6, is_read=False)]
+    ends = (("start", *path[0].tolist()), ("end", *path[-1].tolist()))
+    markers = [Marker(x, y, text=text, offset=(6.0, -6.0)) for text, x, y in ends]
     # links as lines, elbows and end effector as discs, motors on top
-    for points, opacity in zip(poses.rigid[at.astype(int)], POSES, strict=True):
-        for chain, (colour, thickness) in zip(poses.links, LINKS, strict=True):
-            x, y = points[list(chain)].T
-            curves.append(Curve(x, y, "", colour, thickness, opacity, is_read=False, group=POSE))
-            markers.append(Marker(float(x[-1]), float(y[-1]), 5.0, opacity=opacity, group=POSE))
-        x, y = points[-1].tolist()
+    for number, opacity in enumerate(POSES):
+        x, y = path[number * (FRAMES - 1) // (len(POSES) - 1)].tolist()
+        for base, elbow in zip(bases(mechanism), elbows(mechanism, (x, y)), strict=True):
+            for pair, (colour, thickness) in zip(((base, elbow), (elbow, (x, y))), LINKS, strict=True):
+                link = np.array(pair)
+                curves.append(Curve(link[:, 0], link[:, 1], "", colour, thickness, opacity, is_read=False, group=POSE))
+            markers.append(Marker(elbow[0], elbow[1], 5.0, opacity=opacity, group=POSE))
         markers.append(Marker(x, y, 7.0, SECOND, max(opacity, 0.6), group=POSE))
-    for leg, base in enumerate(bases(once.scene.mechanism), start=1):
-        below = Marker(*base, text=f"motor {leg}", offset=(0.0, 14.0), anchor="middle")
-        markers += [Marker(*base, size=10.0, colour=GREY, shape="square"), below]
-    return Panel("y [m]", curves, markers, is_to_scale=True, is_function=False, motion=robot.data())
+    for leg, (x, y) in enumerate(bases(mechanism), start=1):
+        below = Marker(x, y, text=f"motor {leg}", offset=(0.0, 14.0), anchor="middle")
+        markers += [Marker(x, y, size=10.0, colour=GREY, shape="square"), below]
+    return Panel("y [m]", curves, markers, is_to_scale=True, is_function=False, motion=robot)
 
 
 POINTS = 3000
@@ -292,13 +233,12 @@ SIGNALS: Sequence[tuple[str, str, str, Mapping[str, tuple[float, Mapping[str, st
 """Key, title and caption of a plot, and its panels: label → factor, and signals, see `signal_values`, with their names."""
 
 
-def draw_plots(run: Run, end_equilibrium: RealArray | None, frames: int = FRAMES) -> Iterator[Plot]:
+def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
     """Yield the plots for which the run has the signals, the scene first.
 
     Args:
         run: a run, complete or not.
         end_equilibrium: (2,) end effector in static equilibrium at the end pose [m]; None if unknown, which omits the dwell.
-        frames: largest number of instants of the animation.
     """
     if run.accuracy is not None:
         yield from tried_settings(run.accuracy, run.plan.stop_time)
@@ -306,11 +246,11 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None, frames: int = FRAMES
     if np.count_nonzero(np.diff(run.recording.time) > 0.0) == 0:
         yield scene_plot(run.plan)
         return
-    robot = bent_robot(run.plan, run.recording, run.robot, frames)
+    robot = robot_motion(run.plan, run.recording, run.robot)
     yield scene_plot(run.plan, robot)
     last = f" in the last {LONGEST:g} s" if np.ptp(run.recording.time) > LONGEST else ""
-    caption = f"Path of the end effector{last}; its deviation from the rigid robot × {robot.magnification:g}."
-    yield _to_scale("path", "Path", caption, path_panel(run, robot.magnification))
+    caption = f"Path of the end effector{last}; its deviation from the rigid robot × {robot['magnification']:g}."
+    yield _to_scale("path", "Path", caption, path_panel(run, robot["magnification"]))
     for key, title, caption, rows in SIGNALS:
         panels = list[Panel]()
         for label, (factor, names) in rows.items():
@@ -392,11 +332,11 @@ def signal_values(run: Run, of: str, end_equilibrium: RealArray | None) -> tuple
     return time, values[:, 0] if values.shape[1] == 1 else np.linalg.norm(values, axis=1)
 
 
-def scene_plot(plan: MotionPlan, robot: BentRobot | None = None) -> Plot:
+def scene_plot(plan: MotionPlan, robot: Mapping[str, Any] | None = None) -> Plot:
     """The mechanism at start, middle and end of its path, and in motion: as it was recorded, or rigid."""
     caption = "The rigid mechanism at start, middle and end of the path. With scripts it moves"
     caption += "." if robot is None else ", its deviation from the rigid robot magnified."
-    robot = robot or bent_robot(plan, rigid_motion(plan), plan.scene)
+    robot = robot or robot_motion(plan, rigid_motion(plan), plan.scene)
     return _to_scale("scene", "Scene", caption, scene_panel(plan, robot))
 
 

@@ -12,7 +12,7 @@ from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, display_error
 from flexfmu.cosim.reports.page import FIRST_METRICS, RECORDED, Figure, Live, Page, Plot, Table, with_few_points
-from flexfmu.cosim.reports.plots import STUDY_FRAMES, bent_robot, scene_plot
+from flexfmu.cosim.reports.plots import robot_motion, scene_plot
 from flexfmu.cosim.reports.summary import describe_effects, instability, motor_rows, stress_rows, title_of
 from flexfmu.cosim.reports.work_precision import ACCURACY
 from flexfmu.model.scene.schema import Scene
@@ -65,7 +65,7 @@ def of_scene(scene: Scene, run: Run | None = None) -> dict[str, Any]:
         planned = plan(scene) if run is None else run.plan
     except TrajectoryError:  # of a sweep whose cases alone are feasible
         return {}
-    robot = None if run is None else bent_robot(planned, run.recording, run.robot, STUDY_FRAMES)
+    robot = None if run is None else robot_motion(planned, run.recording, run.robot)
     data = scene.model_dump(mode="json", exclude_none=True)
     tables = {"Effects": describe_effects(scene), "Scene file": _scene_rows(data)}
     if run is not None:

@@ -90,32 +90,16 @@
     return isMoved;
   };
 
-  // the robot in motion: points along its links, the rigid robot's and the deviations, at the animation's instants
+  // the robot in motion, at instants that are about equally spaced
   const moved = (motion, r) => {
-    const { robot: { bases, length, shapes, longest } } = r.simulation.facts, { count } = motion, instants = (motion.instants = 121), last = r.time[r.size - 1], from = Math.max(last - longest, 0);
-    const all = new Float32Array(instants * (1 + 4 * count)), [ends, rigids] = [r.ends(0), r.rigids(0)], none = new Float64Array(r.size);
-    const joints = ["joint1.", "joint2."].map((name) => { const reference = r.signal(`${name}reference.position`); return { reference, angle: r.signal(`${name}position`) ?? reference, twist: r.signal(`${name}twist`) ?? none }; });
-    const bent = shapes.map(({ signals, matrix }) => ({ matrix, modes: signals.map((name) => r.signal(name)) })), elongations = [1, 2].map((leg) => r.signal(`link${leg}1.elongation`) ?? none);
-    const link = ([x0, y0], [x1, y1], { matrix, modes }, i, isRigid) => matrix.map((values, k) => {
-      const s = k / (matrix.length - 1), w = isRigid ? 0 : values.reduce((sum, shape, m) => sum + shape * modes[m][i], 0) / Math.hypot(x1 - x0, y1 - y0);
-      return [x0 + s * (x1 - x0) - w * (y1 - y0), y0 + s * (y1 - y0) + w * (x1 - x0)];
-    });
-    const points = (i, isRigid) => {
-      const end = (isRigid ? rigids : ends).map((each) => each[i]);
-      return [...bases.flatMap((base, leg) => {
-        const { reference, angle, twist } = joints[leg], q = isRigid ? reference[i] : angle[i] + twist[i], l = length + (isRigid ? 0 : elongations[leg][i]), elbow = [base[0] + l * Math.cos(q), base[1] + l * Math.sin(q)];
-        return [...link(base, elbow, bent[2 * leg], i, isRigid), ...link(elbow, end, bent[2 * leg + 1], i, isRigid).slice(1, -1)];
-      }), end];
-    };
-    for (let f = 0, i = 0; f < instants; f++) {
-      while (i < r.size - 1 && r.time[i] < from + ((last - from) * f) / (instants - 1)) i++;
-      const rigid = points(i, true).flat(), at = instants + 2 * f * count;
-      all[f] = r.time[i];
-      all.set(rigid, at);
-      all.set(points(i, false).flat().map((v, k) => v - rigid[k]), at + 2 * count * instants);
-    }
-    motion.take(all);
-    motion.slider.max = instants - 1;
+    const { instants } = motion, last = r.time[r.size - 1], from = Math.max(last - motion.longest, 0), [ends, rigids] = [r.ends(0), r.rigids(0)], index = new Int32Array(instants);
+    for (let f = 0, i = 0; f < instants; index[f++] = i) while (i < r.size - 1 && r.time[i] < from + ((last - from) * f) / (instants - 1)) i++;
+    const row = (valueAt) => Float64Array.from(index, valueAt), rows = [row((i) => r.time[i]), ...rigids.map((each) => row((i) => each[i])), ...rigids.map((each, axis) => row((i) => ends[axis][i] - each[i]))];
+    motion.legs.forEach((leg) => leg.signals.forEach((names, k) => {
+      const all = names.map((name) => r.signal(name)), rigidAngle = (i) => (k ? 0 : motion.angle(leg, rigids.map((each) => each[i])));
+      rows.push(row((i) => all.reduce((sum, each) => sum + each[i], -rigidAngle(i))));
+    }));
+    motion.take(rows);
   };
 
   // draw results; recorded curves stay as thin lines

@@ -265,11 +265,17 @@ const page = (() => {
     }
   }
 
-  // the mechanism over time: points of chains, the rigid robot's plus magnified deviations from them
+  // the mechanism over time: links that bend by their shapes; points of the rigid robot plus magnified deviations from them
   class Motion {
     constructor(panel, given) {
-      Object.assign(this, { panel, ...given, frame: 0, times: given.magnification, playing: false });
-      this.take(numbers(given.points));
+      Object.assign(this, { panel, ...given, frame: 0, times: given.magnification, playing: false, chains: [], count: 1 });
+      // points of the proximal links, and those of the distal ones between elbow and end effector, which is the last of all
+      this.count += this.legs.reduce((sum, { shapes: [one, other] }) => sum + one.length + other.length - 2, 0);
+      let next = 0;
+      for (const { shapes: [one, other] } of this.legs) {
+        const own = Array.from({ length: one.length + other.length - 2 }, () => next++), parts = [own.slice(0, one.length), [...own.slice(one.length - 1), this.count - 1]];
+        parts.forEach((points, k) => this.chains.push({ points, colour: this.links[k][0], width: this.links[k][1] }));
+      }
       const { figure } = panel.chart, controls = html("div", { className: "controls" }, figure);
       this.button = html("button", { type: "button", onclick: () => this.play() }, controls, "play");
       const slider = (name, properties, changed) => {
@@ -277,13 +283,44 @@ const page = (() => {
         return [input, html("output", {}, label)];
       };
       const power = Math.log10(this.magnification);
-      [this.slider, this.shownTime] = slider("time", { min: 0, max: this.instants - 1, step: 1, value: 0 }, (k) => { this.stop(); page.at(this.time[k]); });
+      [this.slider, this.shownTime] = slider("time", { min: 0, step: 1, value: 0 }, (k) => { this.stop(); page.at(this.time[k]); });
       [, this.shownTimes] = slider("deflection", { min: 0, max: Math.max(3, power + 1), step: 0.01, value: power }, (p) => { this.times = 10 ** p; this.fitted(); });
+      const all = numbers(this.points), size = all.length / this.rows;
+      this.take(Array.from({ length: this.rows }, (_, k) => all.subarray(k * size, (k + 1) * size)));
       this.tell();
     }
-    take(all) {
-      const { count, instants } = this, n = 2 * count * instants;
-      Object.assign(this, { time: all.subarray(0, instants), rigid: all.subarray(instants, instants + n), deviation: all.subarray(instants + n) });
+    // the rigid robot's elbow and angle of a leg, the end effector being at x, y
+    elbow({ base, side }, [x, y]) {
+      const [one, other] = this.lengths, dx = x - base[0], dy = y - base[1], square = dx * dx + dy * dy, a = 0.5 + (one * one - other * other) / (2 * square), h = side * Math.sqrt(Math.max((one * one) / square - a * a, 0));
+      return [base[0] + a * dx - h * dy, base[1] + a * dy + h * dx];
+    }
+    angle(leg, end) {
+      const [x, y] = this.elbow(leg, end);
+      return Math.atan2(y - leg.base[1], x - leg.base[0]);
+    }
+    // values at the instants: time, end effector of the rigid robot, its deviation, and what each leg's signals are: angle relative to the rigid robot's, elongation, modes
+    take([time, x, y, dx, dy, ...others]) {
+      const { count, legs, lengths: [length] } = this, instants = time.length, n = 2 * count * instants, rows = others.values();
+      const moves = legs.map((leg) => { const [angle, elongation] = [rows.next().value, rows.next().value]; return { leg, angle, elongation, modes: leg.shapes.map((matrix) => matrix[0].map(() => rows.next().value)) }; });
+      const link = ([x0, y0], [x1, y1], matrix, modes, i) => matrix.map((shape, k) => {
+        const s = k / (matrix.length - 1), w = modes.reduce((sum, each, m) => sum + shape[m] * each[i], 0) / Math.hypot(x1 - x0, y1 - y0);
+        return [x0 + s * (x1 - x0) - w * (y1 - y0), y0 + s * (y1 - y0) + w * (x1 - x0)];
+      });
+      const points = (i, isRigid) => {
+        const rigid = [x[i], y[i]], end = isRigid ? rigid : [x[i] + dx[i], y[i] + dy[i]];
+        return [...moves.flatMap(({ leg, angle, elongation, modes }) => {
+          const { base, shapes } = leg, q = this.angle(leg, rigid) + (isRigid ? 0 : angle[i]), l = length + (isRigid ? 0 : elongation[i]), bent = isRigid ? [[], []] : modes;
+          const proximal = link(base, [base[0] + l * Math.cos(q), base[1] + l * Math.sin(q)], shapes[0], bent[0], i);
+          return [...proximal, ...link(proximal.at(-1), end, shapes[1], bent[1], i).slice(1, -1)];
+        }), end].flat();
+      };
+      Object.assign(this, { time, instants, rigid: new Float64Array(n), deviation: new Float64Array(n) });
+      for (let i = 0; i < instants; i++) {
+        const rigid = points(i, true);
+        this.rigid.set(rigid, 2 * i * count);
+        this.deviation.set(points(i, false).map((v, k) => v - rigid[k]), 2 * i * count);
+      }
+      this.slider.max = instants - 1;
     }
     at(k, j) {
       const i = 2 * (k * this.count + j), { rigid, deviation, times } = this;

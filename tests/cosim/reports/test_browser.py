@@ -19,8 +19,9 @@ from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.accuracy import WorkPrecisionTrial
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
+from flexfmu.cosim.reports.chart import unpacked
 from flexfmu.cosim.reports.comparison import ComparedRun
-from flexfmu.cosim.reports.plots import bent_robot, draw_plots
+from flexfmu.cosim.reports.plots import draw_plots, robot_motion
 from flexfmu.cosim.reports.report import report_page
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.cosim.studies.compare.comparison import compare_runs
@@ -240,19 +241,21 @@ def test_the_legend_hides_a_curve(report: Any) -> None:
 
 def test_the_mechanism_moves(report: Any, run: Run) -> None:
     """The slider's instant and magnification: the end effector is at the rigid position plus the magnified deviation, within the axes."""
-    figure, robot = chart_of(report, "Scene"), bent_robot(run.plan, run.recording, run.robot)
+    figure, robot = chart_of(report, "Scene"), robot_motion(run.plan, run.recording, run.robot)
+    instants, x, y, dx, dy, *_ = unpacked(robot["points"], robot["rows"])
     set_to = "(input, value) => { input.value = value; input.dispatchEvent(new Event('input')); }"
     place = """() => { const panel = page.charts[0].panels[0], { motion, shown } = panel, ends = [motion.extent('x'), motion.extent('y')];
       return [motion.at(motion.frame, motion.count - 1), ends, [shown.x, shown.y]]; }"""
     time, deflection = figure.locator(".controls input").all()
-    for frame, power in ((0, 0.0), (100, 2.0), (robot.time.size - 1, 1.0)):
+    for frame, power in ((0, 0.0), (100, 2.0), (instants.size - 1, 1.0)):
         time.evaluate(set_to, frame)
         deflection.evaluate(set_to, power)
         end, extents, shown = report.evaluate(place)
-        np.testing.assert_allclose(end, robot.rigid[frame, -1] + 10.0**power * robot.deviation[frame, -1], rtol=1e-6)
+        expected = [each[frame] + 10.0**power * moved[frame] for each, moved in ((x, dx), (y, dy))]
+        np.testing.assert_allclose(end, expected, rtol=1e-6)
         for (low, high), (first, last) in zip(extents, shown, strict=True):
             assert first < low < high < last
-        assert f"{1e3 * robot.time[frame]:.0f} ms" in figure.locator(".controls output").first.inner_text()
+        assert f"{1e3 * instants[frame]:.0f} ms" in figure.locator(".controls output").first.inner_text()
     # it plays
     time.evaluate(set_to, 0)
     figure.get_by_role("button", name="play").click()
