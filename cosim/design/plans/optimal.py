@@ -372,12 +372,12 @@ def _ways(goals: Goals) -> tuple[list[Robots], list[int], NDArray[np.intp]]:
         scenes = [fuller_scene(each.scene) if fuller else each.scene for each in each_goals]
         if scenes[0] is None:
             continue
-        nodes += [sum(map(len, ways[0][1])) + k for k in _nodes(max(variations, key=len), few)]
+        nodes += [sum(map(len, ways[0][1])) + k for k in nodes_of(max(variations, key=len), few)]
         for (robots, cases), scene, own, of_case in zip(ways, scenes, variations, cases_of(variations), strict=True):
             if scene is not None:
                 cases.append(len(robots) + of_case)
                 robots += [RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in own]
-    first_nodes = _nodes(max((each.variations(PAYLOADS[0]) for each in each_goals), key=len), FEW)
+    first_nodes = nodes_of(max((each.variations(PAYLOADS[0]) for each in each_goals), key=len), FEW)
     return [(robots, np.concatenate(cases)) for robots, cases in ways], nodes, np.array(first_nodes)
 
 
@@ -425,10 +425,10 @@ def fuller_scene(scene: Scene) -> Scene | None:
     return fuller if fuller.effects != effects else None
 
 
-def _nodes(variations: Sequence[Variation], count: int) -> list[int]:
+def nodes_of(variations: Sequence[Variation], count: int) -> list[int]:
     """Indices of a number of payloads, and of all robots with other stiffness or damping."""
     payloads = sum(each.stiffness == each.damping == 1.0 for each in variations)
-    return [*optimal_control.spread(payloads, count), *range(payloads, len(variations))]
+    return [*optimal_control.spread(payloads, min(count, payloads)), *range(payloads, len(variations))]
 
 
 def limited(

@@ -10,21 +10,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from math import inf, log
+from math import log
 from typing import Any
 
 import numpy as np
 
 from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
-from flexfmu.cosim.design.plans.designs import PATHS, Design, FamilyMotion, MotionFamily
-from flexfmu.cosim.design.plans.goals import Goals
-from flexfmu.cosim.design.plans.optimal import limited, refined
+from flexfmu.cosim.design.plans.designs import INTERVALS, LAW, LONGEST, FamilyMotion, ShaperChoice, first_numbers
+from flexfmu.cosim.design.plans.goals import Goals, Variation
+from flexfmu.cosim.design.plans.optimal import limited, nodes_of, refined
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.many.executor import mapping
 from flexfmu.model.reference_design.elastic_response import RobotVariant
-from flexfmu.model.reference_design.optimal_control import Aim, Stage, State, Way, spread
+from flexfmu.model.reference_design.optimal_control import Aim, Stage, State, Way
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.statics import damped_modes
@@ -70,6 +70,9 @@ MOST_MODES, NEIGHBOURHOOD = 2, 3.0
 LOWEST, HIGHEST = 0.6, 2.0
 """Range of the path's height, as multiples of the given one, where the given motion's way doesn't bound it."""
 
+PATHS = ((0.7, 0.8, 0.5), (1.0, 1.0, 0.1), (0.2, 0.8, 0.5))
+"""Lift, height and width of the corners to begin with, as points of the unit cube: usual ones, and what goes around walls."""
+
 QUIET, SLOWER = (0.1,), 1.2
 """Residual vibration of the front's slower motion, relative to the limit, and the factor on the duration of their first motions."""
 
@@ -78,6 +81,9 @@ NONE = 1e-2
 
 Found = tuple[list[float], float, float] | None
 """What a journal has of a family's motion: its numbers, duration and cost."""
+
+Ranked = tuple[float, int, FamilyMotion]
+"""A motion with its cost and its place among others."""
 
 
 def search(judge: Judge, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate | str]:
@@ -95,34 +101,34 @@ def search(judge: Judge, found: Sequence[Assessment], processes: int, show: Show
     """
     show("search: modes and limits", 0.0)
     goals, journal, study = judge.goals, judge.journal, study_of(judge.goals, found[0])
-    best, asked, fraction = list[FamilyMotion](), 0, 0.0
-    random = np.random.default_rng(goals.wishes.seed)
+    going, best, random = [*study.first], list[FamilyMotion](), np.random.default_rng(goals.wishes.seed)
     with mapping(partial(_improved, study), processes) as work:
-        going = [*study.first]
-        for number, (robots, parts, programmes) in enumerate(ROUNDS):
-            tasks = [(each, robots, parts, programmes, False) for each in going]
-            keys = [("search", asked + k) for k in range(len(tasks))]
-            made = work([task for key, task in zip(keys, tasks, strict=True) if key not in journal])
-            asked, costs = asked + len(tasks), list[float]()
+        for number, effort in enumerate(ROUNDS):
+            keys = [("search", number, k) for k in range(len(going))]
+            pairs = zip(keys, going, strict=True)
+            made, ranked = work([(each, *effort, False) for key, each in pairs if key not in journal]), list[Ranked]()
             for k, (key, motion) in enumerate(zip(keys, going, strict=True)):
-                kept = journal.kept(key, Found, lambda made=made: next(made))  # type: ignore[misc]
-                costs.append(inf if kept is None else kept[2])
+                kept = journal.kept(key, Found, partial(next, made))
                 if kept is not None:
-                    going[k] = replace(motion, numbers=np.array(kept[0]), duration=kept[1])
-                show(f"search: round {number + 1} of {len(ROUNDS)}", fraction + 0.25 * (k + 1) / len(going))
-            fraction += 0.25
-            order = [int(k) for k in np.argsort(costs, kind="stable") if costs[k] < inf]
-            best = [going[k] for k in order]
-            if number == 0:
-                # with the other corners
-                other = [replace(each, family=replace(each.family, blend=CORNERS[1])) for each in best[:LAST]]
-                going = best[:KEPT] + other
-                going += [study.near(each, random) for each in best[:1]]
-            else:
-                going = best[:LAST]
+                    ranked.append((kept[2], k, _as_found(motion, kept)))
+                done = number + (k + 1) / len(going)
+                show(f"search: round {number + 1} of {len(ROUNDS)}", done / (len(ROUNDS) + 1))
+            best = [motion for _, _, motion in sorted(ranked)]
+            going = best[:LAST]
+            if number == 0 and best:
+                # with the other corners, and from a start whose path and frequencies differ a little
+                others = [replace(each, blend=CORNERS[1]) for each in best[:LAST]]
+                spread = SPREAD * random.standard_normal(len(best[0].numbers))
+                spread[LAW] = 0.0
+                going = [*best[:KEPT], *others, best[0].moved(np.append(spread, 0.0))]
     if not best:
         raise TrajectoryError(f"scene {goals.scene.name}: no motion of the search can be planned")
     yield from _judged(judge, study, best[0], show)
+
+
+def _as_found(motion: FamilyMotion, found: tuple[list[float], float, float]) -> FamilyMotion:
+    """A motion with what a journal has of it."""
+    return replace(motion, numbers=np.array(found[0]), duration=found[1])
 
 
 def _judged(judge: Judge, study: MotionStudy, first: FamilyMotion, show: ShowProgress) -> Iterator[Candidate | str]:
@@ -143,25 +149,22 @@ def _judged(judge: Judge, study: MotionStudy, first: FamilyMotion, show: ShowPro
         found = judge.journal.kept(("search", *key), Found, lambda: _improved(tight, (start, *FINAL, again)))
         if found is None:
             return None
-        last = replace(first, numbers=np.array(found[0]), duration=found[1])
+        last = _as_found(first, found)
         show(f"search: {last.duration:.4g} s", None)
         return [last], True
 
-    def made(motions: Sequence[FamilyMotion]) -> Candidate:
-        return candidate_of(goals, motions[0].design)
-
-    way = replace(study.way, start=first)
+    way, made = replace(study.way, start=first), lambda motions: candidate_of(goals, motions[0])
     yield from refined(judge, attempt, made, [way], study.loads, 0.0, ("judged",))
     for share in QUIET if goals.wishes.duration is None else ():
-        start = last.with_duration(SLOWER * last.duration)
-        way = replace(way, start=start, limits=study.way.limits.tightened({"residual": 1.0 / share}))
+        limits = study.way.limits.tightened({"residual": 1.0 / share})
+        way = replace(way, start=last.with_duration(SLOWER * last.duration), limits=limits)
         if (tried := attempt(("quiet", share), [way], study.loads, 0.0)) is not None:
-            yield made(tried[0])
+            yield candidate_of(goals, tried[0][0])
 
 
-def candidate_of(goals: Goals, design: Design) -> Candidate:
-    """A design as a candidate."""
-    return Candidate(design.label, "search", goals.scene.replace(design.changes))
+def candidate_of(goals: Goals, motion: FamilyMotion) -> Candidate:
+    """A motion of the search as a candidate."""
+    return Candidate(motion.label, "search", goals.scene.replace(motion.changes))
 
 
 @dataclass(frozen=True)
@@ -170,27 +173,17 @@ class MotionStudy:
 
     Attributes:
         first: motions with all combinations of shapers and the first kind of corners.
+        variations: the robots.
         way: limits and robots, and the given motion.
         loads: limits of RMS torque and energy.
         aim: what is minimised.
-        usual: duration of first motions [s].
     """
 
     first: tuple[FamilyMotion, ...]
+    variations: tuple[Variation, ...]
     way: Way
     loads: Mapping[str, RealArray]
     aim: Aim
-    usual: float
-
-    def cases(self, count: int) -> list[int]:
-        """Indices of robots: so many payloads, and all with other stiffness or damping."""
-        payloads = sum(set(each.changes) <= {"payload.mass"} for each in self.way.robots)
-        return [*spread(payloads, min(count, payloads)), *range(payloads, len(self.way.robots))]
-
-    def near(self, motion: FamilyMotion, random: np.random.Generator) -> FamilyMotion:
-        """A motion whose path and frequencies differ a little."""
-        numbers = motion.numbers + SPREAD * random.standard_normal(len(motion.numbers)) * motion.family.are_free
-        return replace(motion, numbers=np.clip(numbers, 0.0, 1.0))
 
 
 def study_of(goals: Goals, given: Assessment, payloads: int = FINAL[0]) -> MotionStudy:
@@ -205,31 +198,34 @@ def study_of(goals: Goals, given: Assessment, payloads: int = FINAL[0]) -> Motio
         InputError: the scene's motion is a table.
         BuildError, EquilibriumError, TrajectoryError: the robot can't be run, or its given motion.
     """
-    scene, section = goals.scene, goals.scene.trajectory
+    scene, section, wishes = goals.scene, goals.scene.trajectory, goals.wishes
     if not isinstance(section, TrajectorySection):
         raise InputError(f"scene {scene.name} has a motion from a table, and no path whose corners could change")
-    robots = [RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in goals.variations(payloads)]
+    variations = goals.variations(payloads)
+    robots = [RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in variations]
     (way,), loads = limited(goals, given, [(robots, np.arange(len(robots)))], walls=True)
-    wishes, usual = goals.wishes, goals.wishes.duration or goals.given.once.duration
     if wishes.minimise == "residual":
         way = replace(way, limits=replace(way.limits, residual=NONE * way.limits.residual))
     # modes at the end of the motion
     found = damped_modes(scene, goals.given.once.end_pose[0])
     pairs = zip(found.frequencies[:MOST_MODES], found.ratios[:MOST_MODES], strict=True)
     modes = [Oscillator(float(f), float(z)) for f, z in pairs if f <= NEIGHBOURHOOD * found.frequencies[0]]
-    shapers: list[tuple[tuple[str, Oscillator], ...]] = [(), *(((kind, modes[0]),) for kind in SINGLE if modes)]
+    shapers: list[tuple[ShaperChoice, ...]] = [(), *(((kind, modes[0]),) for kind in SINGLE if modes)]
     if len(modes) > 1:
         shapers += [((a, modes[0]), (b, modes[1])) for a, b in PAIRS]
     # heights
     heights = LOWEST * section.height, HIGHEST * section.height
     if wishes.keep_out is None:
         heights = section.height, section.height + wishes.corridor
-    families = [MotionFamily(scene, heights, CORNERS[0], each) for each in shapers]
+    usual = wishes.duration or goals.given.once.duration
+    unshaped = FamilyMotion(
+        scene.mechanism, section, heights, CORNERS[0], (), np.zeros(0), usual, max(INTERVALS, round(usual / LONGEST))
+    )
     # the path that has least to go around
-    starts = [families[0].start(path) for path in PATHS]
-    best = PATHS[int(np.argmin([goals.clearance.passage(families[0].path(each)) for each in starts]))]
-    first = tuple(FamilyMotion(each, each.start(best), usual, usual) for each in families)
-    return MotionStudy(first, way, loads, wishes.minimise, usual)
+    starts = [replace(unshaped, numbers=first_numbers(path, 0)) for path in PATHS]
+    path = PATHS[int(np.argmin([goals.clearance.passage(each.points) for each in starts]))]
+    first = (replace(unshaped, shapers=each, numbers=first_numbers(path, len(each))) for each in shapers)
+    return MotionStudy(tuple(first), variations, way, loads, wishes.minimise)
 
 
 def _improved(study: MotionStudy, task: tuple[FamilyMotion, int, int, int, bool]) -> Found:
@@ -238,11 +234,13 @@ def _improved(study: MotionStudy, task: tuple[FamilyMotion, int, int, int, bool]
     The task is the first motion, numbers of payloads, steps and programmes, and whether what misses limits is tried again.
     """
     motion, robots, parts, programmes, again = task
-    cases = np.array(study.cases(robots))
+    cases = np.array(nodes_of(study.variations, robots))
     loads, found = {name: each[cases] for name, each in study.loads.items()}, list[tuple[float, FamilyMotion]]()
     for number in range(STRETCHES):
         try:
-            stage = Stage([replace(study.way, start=motion).of_cases(cases)], loads, parts, [study.usual], study.aim)
+            stage = Stage(
+                [replace(study.way, start=motion).of_cases(cases)], loads, parts, [study.first[0].duration], study.aim
+            )
             # where limits weren't met before they are worth more
             stage.price *= DEARER ** min(len(found), number)
             *_, state = stage.improvements((motion,), programmes)

@@ -17,7 +17,7 @@ import pytest
 
 from flexfmu.cosim.design.plans import search as module
 from flexfmu.cosim.design.plans.assessment import Assessment, Judge
-from flexfmu.cosim.design.plans.designs import Design, FamilyMotion, polynomial, references
+from flexfmu.cosim.design.plans.designs import FamilyMotion, first_numbers, polynomial
 from flexfmu.cosim.design.plans.goals import Goals, goals_of
 from flexfmu.cosim.design.plans.search import MotionStudy, search, study_of
 from flexfmu.cosim.engine.errors import InputError, ResultsError
@@ -26,6 +26,7 @@ from flexfmu.cosim.experiment.timing import processor_time
 from flexfmu.cosim.many.executor import mapping
 from flexfmu.model.reference_design.optimal_control import GROUPS, Stage
 from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.trajectories.profiles import PROFILES, evaluate_profile
 from flexfmu.trajectories.shapers.sequence import Oscillator
 
@@ -60,14 +61,16 @@ SHAPED = {
 
 @pytest.mark.parametrize("number", SHAPED)
 def test_references_are_those_of_the_scene_that_is_written(number: str) -> None:
-    law = polynomial((0.1, 0.2, -0.1, 0.1))
-    chosen = Design("polar", (0.024, 0.05), 0.03, law, SHAPED[number], 0.2)
+    section, shapers = SCENE.trajectory, SHAPED[number]
+    assert isinstance(section, TrajectorySection)
+    numbers = first_numbers((0.5, 0.7, 0.4), len(shapers))
+    chosen = FamilyMotion(SCENE.mechanism, section, (0.025, 0.035), "polar", shapers, numbers, 0.2)
     planned = loop_of(SCENE.replace(chosen.changes)).motion.joints
-    total = chosen.duration + chosen.sequence.duration
-    assert total == pytest.approx(planned.duration, rel=1e-12)
-    time = np.linspace(0.0, total, 301)
-    for values, expected in zip(references(SCENE, chosen, time), planned.evaluate(time, 2, "left"), strict=True):
-        assert np.abs(values - expected).max() < 1e-4 * np.abs(expected).max()
+    assert planned.duration == pytest.approx(0.2, rel=1e-12)
+    fractions = np.linspace(0.0, 1.0, 301)
+    expected = planned.evaluate(0.2 * fractions, 2, "left")
+    for values, wanted in zip(chosen.evaluate(fractions), expected, strict=True):
+        assert np.abs(values - wanted).max() < 1e-4 * np.abs(wanted).max()
 
 
 def test_time_laws_move_forward_and_are_at_rest_at_both_ends() -> None:
@@ -122,7 +125,7 @@ def test_no_grid_finds_a_better_motion(study: MotionStudy) -> None:
         for width in np.linspace(0.05, 0.95, 5):
             for tall in np.linspace(0.5, 1.0, 3):
                 numbers = np.array([motion.numbers[0], tall, width, *motion.numbers[3:]])
-                other = FamilyMotion(motion.family, numbers, time * motion.duration, motion.usual)
+                other = replace(motion, numbers=numbers, duration=time * motion.duration)
                 assert stage.state((other,), derivatives=False).violations.max() > 2e-3
 
 
@@ -168,8 +171,8 @@ def test_least_residual_at_a_given_time() -> None:
         found = module._improved(study, (study.first[2], 3, 2, programmes, False))
         assert found is not None
         assert found[1] == pytest.approx(0.25)
-        design = study.first[2].family.design(np.array(found[0]), found[1])
-        residuals.append(judge.assess(module.candidate_of(goals, design)).residual)
+        motion = replace(study.first[2], numbers=np.array(found[0]), duration=found[1])
+        residuals.append(judge.assess(module.candidate_of(goals, motion)).residual)
     assert residuals[1] < 0.5 * residuals[0]
 
 
@@ -180,9 +183,9 @@ def test_paths_go_around_walls(goals: Goals, given: Assessment) -> None:
     walled = goals_of(SCENE.replace({"plan.keep_out": [wall]}))
     found = study_of(walled, given, 3)
     first = found.first[0]
-    assert walled.clearance.passage(first.family.path(first.numbers)) == 0.0
+    assert walled.clearance.passage(first.points) == 0.0
     low = replace(first, numbers=np.array([0.0, *first.numbers[1:]]))
-    distance = found.way.limits.distances(low.family.path(low.numbers)[np.newaxis])[0]
+    distance = found.way.limits.distances(low.points[np.newaxis])[0]
     assert distance.min() < -5e-3
 
 
