@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.limits import Limit
+from flexfmu.cosim.design.plans.clearance import to_nearest
 from flexfmu.cosim.design.plans.goals import MET, RATES, Goals, Variation, peak_rates
 from flexfmu.cosim.design.plans.sampled_loop import loop_run, tracking_error, with_learned_torques
 from flexfmu.cosim.engine.errors import InputError, ResultsError
@@ -147,13 +148,14 @@ def own_candidate(scene: Scene, name: str, motion: OwnMotion | Trajectory) -> Ca
 class Peaks:
     """What a run of one robot needs.
 
-    Its values are by figure, one or one for each joint: ``torque``, ``rms_torque`` [N.m] and ``power`` [W], largest magnitudes; ``residual``
-    [m], the largest distance from the rest position after the motion; ``energy`` [J] that the motors give, without what they take back;
-    ``supply_power`` and ``regenerated_power`` [W] of both motors together, into the robot and out of it, and ``regenerated_energy`` [J]
-    that flows out; ``motor_torque``, ``motor_rms_torque`` and ``motor_speed`` of the shafts relative to what the motors can, the torque at
-    its speed, the RMS torque that heats them as much, 0 without a section `motor`; ``off_path`` [m], the largest distance of the end effector
-    from the given path; ``clearance`` [m], the smallest one to the keep-out region; and where they are limited ``reaction`` [N], the
-    largest force in a joint, and ``stress`` [Pa] of a link.
+    Its values are by figure, one or one for each joint: ``time`` [s] with shapers, without the dwell; ``torque``, ``rms_torque`` [N.m] and
+    ``power`` [W], largest magnitudes; ``residual`` [m], the largest distance from the rest position after the motion; ``energy`` [J] that the
+    motors give, without what they take back; ``supply_power`` and ``regenerated_power`` [W] of both motors together, into the robot and out
+    of it, and ``regenerated_energy`` [J] that flows out; ``off_path`` [m], the largest distance of the end effector from the given path;
+    ``clearance`` [m], the largest depth within the keep-out region, negative outside; ``speed``, ``acceleration`` and ``jerk`` of the joint
+    references; with a section `motor` ``motor_torque``, ``motor_rms_torque`` and ``motor_speed`` of the shafts relative to what the motors
+    can, the torque at its speed, the RMS torque that heats them as much; and where they are limited ``reaction`` [N], the largest force in
+    a joint, and ``stress`` [Pa] of a link.
 
     Attributes:
         variation: the robot.
@@ -208,22 +210,14 @@ FIGURES: Mapping[str, AssessedFigure] = {
 """The largest figures of an assessment; the time with shapers, without the dwell; the smallest clearance."""
 
 
+WHOLE: Mapping[str, str] = {"time": "whole motion", **dict.fromkeys(RATES, "references")}
+"""Figures that robots and joints have in common → where they are."""
+
+
 def _worst(figure: str) -> Any:
     """The property of an assessment that is the worst value of a figure."""
-
-    def find(self: Assessment) -> float:
-        return self.worst(figure)
-
-    return property(find, doc=f"{FIGURES[figure].label} [{FIGURES[figure].unit}].")
-
-
-def _rate(name: str) -> Any:
-    """The property of an assessment that is the largest rate of the joint references."""
-
-    def find(self: Assessment) -> float:
-        return self.references[RATES.index(name)]
-
-    return property(find, doc=f"{FIGURES[name].label} [{FIGURES[name].unit}].")
+    label = f"{FIGURES[figure].label} [{FIGURES[figure].unit}]."
+    return property(lambda self: self.worst(figure), doc=label)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,16 +226,12 @@ class Assessment:
 
     Attributes:
         candidate: the motion.
-        time: duration with shapers, without the dwell [s].
         peaks: what each robot within the bands needs.
-        references: largest speed, acceleration and jerk of the joint references [rad/s, rad/s2, rad/s3].
-        uses: every limit with what is used of it, the residual and the clearance included.
+        uses: every limit with what is used of it.
     """
 
     candidate: Candidate
-    time: float
     peaks: tuple[Peaks, ...]
-    references: tuple[float, float, float]
     uses: tuple[Limit, ...] = ()
 
     @property
@@ -257,14 +247,13 @@ class Assessment:
 
     def worst(self, figure: str) -> float:
         """The worst value of a figure of `Peaks` within the bands, of both joints."""
-        values = [value for each in self.peaks for value in each.values[figure]]
-        return min(values) if figure == "clearance" else max(values)
+        most = max(value for each in self.peaks for value in each.values[figure])
+        return -most if figure == "clearance" else most
 
-    residual, torque, rms_torque, power = map(_worst, ("residual", "torque", "rms_torque", "power"))
-    supply_power, regenerated_power = map(_worst, ("supply_power", "regenerated_power"))
-    energy, off_path, clearance = map(_worst, ("energy", "off_path", "clearance"))
-
-    speed, acceleration, jerk = map(_rate, RATES)
+    time, residual, torque, rms_torque, power = map(_worst, ("time", "residual", "torque", "rms_torque", "power"))
+    supply_power, regenerated_power, energy = map(_worst, ("supply_power", "regenerated_power", "energy"))
+    off_path, clearance = map(_worst, ("off_path", "clearance"))
+    speed, acceleration, jerk = map(_worst, RATES)
 
     @cached_property
     def torque_ratio(self) -> float:
@@ -274,21 +263,19 @@ class Assessment:
     @property
     def figures(self) -> dict[str, float]:
         """All of `FIGURES`."""
-        return {name: float(getattr(self, name)) for name in FIGURES}
+        return {name: self.worst(name) for name in FIGURES}
 
     @property
     def metrics(self) -> RunMetrics:
         """Its figures with units and labels, the worst within the bands."""
         found = {
-            name: Metric(
-                value, FIGURES[name].unit, name=name, label=FIGURES[name].label, description=f"{FIGURES[name].label}."
-            )
-            for name, value in self.figures.items()
+            name: Metric(self.worst(name), each.unit, name=name, label=each.label, description=f"{each.label}.")
+            for name, each in FIGURES.items()
         }
         return RunMetrics(self.candidate.label, lambda companions, names: found)
 
 
-Judged = tuple[float, tuple[Peaks, ...], tuple[float, float, float], tuple[Limit, ...]]
+Judged = tuple[tuple[Peaks, ...], tuple[Limit, ...]]
 """What a journal has of an assessment."""
 
 
@@ -304,8 +291,7 @@ class Judge:
     def __init__(self, goals: Goals, payloads: int = JUDGED, journal: WorkJournal = NOWHERE) -> None:
         self.goals, self.variations, self.journal = goals, goals.variations(payloads), journal
         self._payloads = payloads
-        self._path = goals.trace
-        self._tree = cKDTree(self._path)
+        self._tree = cKDTree(goals.trace)
 
     @cached_property
     def given(self) -> Assessment:
@@ -351,13 +337,15 @@ class Judge:
                     # also in the first cycle, which starts at rest
                     periodic, more = left[:, :, case].T[..., np.newaxis]
                     rows = np.maximum(rows, np.minimum(rows + more, periodic))
-                whole = rows.min(axis=0) if name == "clearance" else rows.max(axis=0)
+                whole = rows.max(axis=0)
                 if name in optimal_control.ROOTS:
                     heating = [self._heating(name, time) for time in times]
                     whole = np.average(rows**2 / heating, axis=0, weights=times) * self._heating(name, sum(times))
                     whole = np.sqrt(whole)
                 elif name in optimal_control.OF_CYCLE:
                     whole = rows.sum(axis=0)
+                elif name == "time":
+                    whole = np.array([sum(times)])
                 elif name in each[0].times:
                     # of the cycle
                     ends = np.array([start + np.array(p.times[name]) for start, p in zip(starts, each, strict=True)])
@@ -366,30 +354,25 @@ class Judge:
                     )
                 values[name] = (*whole.tolist(),)
             found.append(Peaks(first, values, instants))
-        speed, acceleration, jerk = np.max([way.references for way in ways], axis=0).tolist()
-        return Assessment(candidate, sum(times), tuple(found), (speed, acceleration, jerk))
+        return Assessment(candidate, tuple(found))
 
     def _judged(self, candidate: Candidate, *, given: bool) -> Judged:
         if candidate.ways:
-            cycle = self._of_cycle(self.of_ways(candidate, given=given), candidate)
-            uses = tuple(self._uses(cycle, cycle if given else self.given))
-            return cycle.time, cycle.peaks, cycle.references, uses
-        prepared = candidate.prepared()
-        found = []
-        for variation in self.variations:
-            run = prepared.run(variation.changes(self.goals.scene))
-            if run.outcome is Outcome.INTERRUPTED:
-                raise KeyboardInterrupt
-            if not run.completed:
-                raise ResultsError(f"{candidate.label} with {variation}: {run.message}")
-            found.append(self._peaks(run, variation))
-        joints = run.plan.joints
-        speed, acceleration, jerk = peak_rates(joints, INSTANTS).tolist()
-        assessment = Assessment(candidate, joints.duration, tuple(found), (speed, acceleration, jerk))
-        uses = tuple(self._uses(assessment, assessment if given else self.given))
+            assessment = self._of_cycle(self.of_ways(candidate, given=given), candidate)
+        else:
+            prepared, found = candidate.prepared(), list[Peaks]()
+            for variation in self.variations:
+                run = prepared.run(variation.changes(self.goals.scene))
+                if run.outcome is Outcome.INTERRUPTED:
+                    raise KeyboardInterrupt
+                if not run.completed:
+                    raise ResultsError(f"{candidate.label} with {variation}: {run.message}")
+                found.append(self._peaks(run, variation))
+            assessment = Assessment(candidate, tuple(found))
+        uses = [*self._uses(assessment, assessment if given else self.given)]
         if self.goals.loop is not None:
-            uses = *uses, self._in_the_loop(self.goals.loop, candidate)
-        return assessment.time, assessment.peaks, assessment.references, uses
+            uses.append(self._in_the_loop(self.goals.loop, candidate))
+        return assessment.peaks, tuple(uses)
 
     def _in_the_loop(self, scene: Scene, candidate: Candidate) -> Limit:
         """The residual vibration that the scene's controllers leave, with its own payload."""
@@ -404,10 +387,8 @@ class Judge:
         time, torques = recording.time, [recording[f"joint{joint}.torque"].values for joint in (1, 2)]
         points = np.column_stack([recording[f"end_effector.position.{axis}"].values for axis in "xy"])
         moving, vibrating = time <= end, time >= end + self.goals.wishes.settled_within
-        off, clear = (
-            self._off_path(points[moving]),
-            self.goals.clearance.along(points[moving], self.goals.wishes.margin),
-        )
+        off = self._off_path(points[moving])
+        depth = -self.goals.clearance.along(points[moving], self.goals.wishes.margin)
 
         def of_joints(name: str) -> RealArray:
             return np.array([float(metrics[f"{name}_{joint}"]) for joint in (1, 2)])
@@ -416,36 +397,34 @@ class Judge:
         if self.goals.wishes.settled_within:
             residual = float(np.hypot(*(points[vibrating] - points[-1]).T).max())
         # mean squares over the pause of a cycle instead of the dwell, at the end of which the robot rests
-        dwell, holding = time[-1] - end, np.array([each[-1] for each in torques])
+        dwell = time[-1] - end
         pause = dwell if self.goals.pause is None else self.goals.pause
         late = time >= end + pause
-        more = holding**2 * (pause - dwell)
-        if late.sum() > 1:
-            swings = [np.trapezoid(each[late] ** 2 - each[-1] ** 2, time[late]) for each in torques]
-            more -= swings
+        swings = [np.trapezoid(each[late] ** 2 - each[-1] ** 2, time[late]) for each in torques]
+        more = [each[-1] ** 2 * (pause - dwell) for each in torques] - np.array(swings)
 
         def rms(mean: RealArray, unit: RealArray | float) -> RealArray:
             return np.asarray(np.sqrt((mean**2 * (end + dwell) + more / np.square(unit)) / (end + pause)))
 
-        motor = np.zeros((3, 2))
-        if loads := motor_loads(run):
-            use = [{margin.name: margin.use for margin in load.margins} for load in loads]
-            motor[0] = [max(each["peak torque"], each.get("torque at speed", 0.0)) for each in use]
-            unit = np.array([load.motor.gear_ratio * load.motor.continuous_torque for load in loads])
-            motor[1] = rms(np.array([each["RMS torque"] for each in use]), unit)
-            motor[1] *= np.sqrt(self._heating("motor_rms_torque", end + pause))
-            motor[2] = [each["speed"] for each in use]
         values: dict[str, Any] = {
+            "time": [run.plan.joints.duration],
             "torque": of_joints("peak_torque"),
             "rms_torque": rms(of_joints("rms_torque"), 1.0),
             "power": np.maximum(of_joints("peak_power"), of_joints("peak_regenerated_power")),
             "residual": [residual],
             "energy": [of_joints("positive_energy").sum()],
             **_both_powers(recording, run.plan.joints),
-            **dict(zip(("motor_torque", "motor_rms_torque", "motor_speed"), motor, strict=True)),
             "off_path": [off.max()],
-            "clearance": [clear.min()],
+            "clearance": [depth.max()],
+            **dict(zip(RATES, peak_rates(run.plan.joints, INSTANTS)[:, np.newaxis], strict=True)),
         }
+        if loads := motor_loads(run):
+            use = [{margin.name: margin.use for margin in load.margins} for load in loads]
+            unit = np.array([load.motor.gear_ratio * load.motor.continuous_torque for load in loads])
+            heating = np.sqrt(self._heating("motor_rms_torque", end + pause))
+            values["motor_torque"] = [max(each["peak torque"], each.get("torque at speed", 0.0)) for each in use]
+            values["motor_rms_torque"] = heating * rms(np.array([each["RMS torque"] for each in use]), unit)
+            values["motor_speed"] = [each["speed"] for each in use]
         # forces in elbows and between the legs and the end effector; no stress in rigid links
         if "reaction" in self.goals.limits:
             names = [f"{place}{leg}.reaction" for place in ("elbow", "leg") for leg in (1, 2)]
@@ -457,7 +436,7 @@ class Judge:
         instants = {
             "torque": [time[np.abs(each).argmax()] for each in torques],
             "off_path": [time[off.argmax()]],
-            "clearance": [time[clear.argmin()]],
+            "clearance": [time[depth.argmax()]],
         }
         tables = ({name: tuple(map(float, each)) for name, each in table.items()} for table in (values, instants))
         return Peaks(variation, *tables)
@@ -468,51 +447,32 @@ class Judge:
 
     def _off_path(self, points: RealArray) -> RealArray:
         """Distances (N,) [m] of points from the given path."""
-        _, nearest = self._tree.query(points)
-        found = np.full(len(points), np.inf)
-        for shift in (-1, 0):
-            first = np.clip(nearest + shift, 0, len(self._path) - 2)
-            side = self._path[first + 1] - self._path[first]
-            away = points - self._path[first]
-            along = np.clip(np.einsum("nj,nj->n", away, side) / np.einsum("nj,nj->n", side, side), 0.0, 1.0)
-            found = np.minimum(found, np.hypot(*(away - along[:, None] * side).T))
-        return found
+        path, (_, nearest) = self.goals.trace, self._tree.query(points)
+        first = np.clip(np.stack([nearest - 1, nearest], axis=1), 0, len(path) - 2)
+        away, _, _ = to_nearest(points, path[first], path[first + 1] - path[first])
+        return np.asarray(np.hypot(*away.T))
 
     def _uses(self, found: Assessment, given: Assessment) -> Iterator[Limit]:
         """How close the motion comes to each limit, and where."""
-        wishes = self.goals.wishes
-        most, where = max((need, where) for need, _, where in needs("residual", found, given))
-        yield Limit("residual", wishes.residual, "m", rounding=MET).used(most, where)
-        least, where = min((need, where) for need, _, where in needs("clearance", found, given))
-        if math.isfinite(least):
-            # as a depth: 0 on the outline
-            yield Limit("clearance", wishes.margin, "m", rounding=MET).used(max(-least, 0.0), where)
         for limit in self.goals.limits.values():
             rows = needs(limit.figure, found, given)
             value, where = max(
                 (_ratio(need, usual) if limit.is_relative else need, where) for need, usual, where in rows
             )
-            yield limit.used(value, where)
-        if wishes.duration is not None:
-            yield Limit("time", wishes.duration, "s", rounding=MET).used(found.time, "whole motion")
+            # without a keep-out region there is no depth in it; on its outline it is 0
+            if value > -math.inf:
+                yield limit.used(max(value, 0.0), where)
 
 
 def cases_of(variations: Sequence[Sequence[Variation]]) -> list[NDArray[np.intp]]:
     """Index (C,) of the robot of each way for every case: those of the way with most robots, and on other ways as near in payload as can be."""
-    cases, found = max(variations, key=len), list[NDArray[np.intp]]()
-    heaviest = [max(each.payload for each in robots) or 1.0 for robots in variations]
-    for robots, heavy in zip(variations, heaviest, strict=True):
-        most = max(each.payload for each in cases) or 1.0
-        away = [
-            [
-                abs(case.payload / most - robot.payload / heavy)
-                + 1e3 * (abs(case.stiffness - robot.stiffness) + abs(case.damping - robot.damping))
-                for robot in robots
-            ]
-            for case in cases
-        ]
-        found.append(np.argmin(away, axis=1))
-    return found
+
+    def places(robots: Sequence[Variation]) -> RealArray:
+        heaviest = max(each.payload for each in robots) or 1.0
+        return np.array([(each.payload / heaviest, 1e3 * each.stiffness, 1e3 * each.damping) for each in robots])
+
+    cases = places(max(variations, key=len))[:, np.newaxis]
+    return [np.abs(cases - places(robots)).sum(axis=2).argmin(axis=1) for robots in variations]
 
 
 def _left_vibration(
@@ -562,12 +522,8 @@ def _ratio(need: float, usual: float) -> float:
 
 def needs(figure: str, found: Assessment, given: Assessment) -> Iterator[tuple[float, float, str]]:
     """What a motion and the given one need of a figure, for each robot and joint, and where."""
-    if figure in RATES:
-        k = RATES.index(figure)
-        yield found.references[k], given.references[k], "references"
-        return
     for each, own in zip(found.peaks, given.peaks, strict=True):
         values, times = each.values[figure], each.times.get(figure)
         for k, (need, usual) in enumerate(zip(values, own.values[figure], strict=True)):
             joint, time = [f"joint {k + 1}"] * (len(values) > 1), [] if times is None else [f"{times[k]:.4g} s"]
-            yield need, usual, ", ".join([*joint, str(each.variation), *time])
+            yield need, usual, WHOLE.get(figure, ", ".join([*joint, str(each.variation), *time]))

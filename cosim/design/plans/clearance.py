@@ -28,6 +28,20 @@ PARTS, REFINED, PEAKS = 8, 33, 4
 """Parts of each segment at which the depth within a region is looked at; points about each of so many peaks, three times."""
 
 
+def to_nearest(points: RealArray, first: RealArray, side: RealArray) -> tuple[RealArray, RealArray, NDArray[np.intp]]:
+    """From the nearest of some sides to each point: vectors (N, 2) [m], places along the sides' lines, 0..1 within them, and which ones (N,).
+
+    Args:
+        points: (N, 2) [m].
+        first, side: first points and vectors of K sides, the same for all points (K, 2), or those of each (N, K, 2) [m].
+    """
+    away = points[:, np.newaxis] - first
+    along = (away * side).sum(axis=-1) / np.maximum((side**2).sum(axis=-1), TOUCHING**2)
+    away = away - np.clip(along, 0.0, 1.0)[..., np.newaxis] * side
+    rows, nearest = np.arange(len(points)), (away**2).sum(axis=-1).argmin(axis=1)
+    return away[rows, nearest], along[rows, nearest], nearest
+
+
 @dataclass(frozen=True)
 class Stretch:
     """A stretch of a way within a region.
@@ -67,12 +81,8 @@ class Polygon:
         """Distances (N,) [m] of points (N, 2), negative inside, and their gradients (N, 2)."""
         side = np.roll(self.corners, -1, axis=0) - self.corners
         sides = self._near(points)
-        # the nearest point of each of these sides, then of all
-        away = points[:, None] - self.corners[sides]
-        along = np.einsum("nkj,nkj->nk", away, side[sides]) / np.einsum("nkj,nkj->nk", side[sides], side[sides])
-        away = away - np.clip(along, 0.0, 1.0)[..., None] * side[sides]
-        rows, nearest = np.arange(len(points)), np.einsum("nkj,nkj->nk", away, away).argmin(axis=1)
-        chosen, along, away = sides[rows, nearest], along[rows, nearest], away[rows, nearest]
+        away, along, nearest = to_nearest(points, self.corners[sides], side[sides])
+        chosen = sides[np.arange(len(points)), nearest]
         # outside is where the normal points to; at a corner the sum of both sides' normals
         unit = side / np.hypot(*side.T)[:, None]
         normals = np.column_stack([unit[:, 1], -unit[:, 0]])
@@ -168,10 +178,8 @@ class Polygon:
         """How far the nearer of both outlines between two of its places is from the way between them [m]."""
         low, high = sorted((enters, leaves))
         between = (self._lengths[:-1] > low) & (self._lengths[:-1] < high)
-        first, side = way[:-1], np.diff(way, axis=0)
-        away = self.corners[:, None] - first
-        along = np.einsum("nkj,kj->nk", away, side) / np.maximum(np.einsum("kj,kj->k", side, side), TOUCHING**2)
-        distance = np.hypot(*np.moveaxis(away - np.clip(along, 0.0, 1.0)[..., None] * side, -1, 0)).min(axis=1)
+        away, _, _ = to_nearest(self.corners, way[:-1], np.diff(way, axis=0))
+        distance = np.hypot(*away.T)
         return min(float(distance[chosen].max(initial=0.0)) for chosen in (between, ~between))
 
     def _near(self, points: RealArray) -> NDArray[np.intp]:

@@ -17,11 +17,13 @@ from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.clearance import Clearance, Polygon, clearance_of_trace
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.cycles import Reversed
+from flexfmu.cosim.experiment.parameters import scene_with_parameters
 from flexfmu.cosim.experiment.planning import MotionPlan, plan, plan_own
 from flexfmu.model.reference_design.elastic_response import VariantModel
 from flexfmu.model.reference_design.optimal_control import Drives
+from flexfmu.model.scene.messages import unit_of
 from flexfmu.model.scene.motion import TrajectorySection
-from flexfmu.model.scene.plan import PlanSection, Ratio, TargetSection
+from flexfmu.model.scene.plan import PlanLimits, PlanSection, Ratio, TargetSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.trajectories.jets import RealArray
@@ -32,12 +34,6 @@ LEAST_DWELL = 0.25
 
 TRACE = 601
 """Points of the given motion's trace."""
-
-UNITS: Mapping[str, str] = {
-    "torque": "N.m", "speed": "rad/s", "acceleration": "rad/s2", "jerk": "rad/s3", "rms_torque": "N.m", "power": "W",
-    "energy": "J", "supply_power": "W", "regenerated_power": "W", "regenerated_energy": "J", "motor_torque": "1", "motor_rms_torque": "1", "motor_speed": "1", "reaction": "N", "stress": "Pa", "off_path": "m", "residual": "m", "clearance": "m",
-}  # fmt: skip
-"""Limit → unit."""
 
 USUAL: Mapping[str, Ratio] = dict.fromkeys(("torque", "rms_torque", "power"), Ratio(ratio=1.0))
 """Limits where the wishes have none, and the scene no motors."""
@@ -56,11 +52,6 @@ MOTION_DRIVEN: Mapping[str, Any] = {
 
 RATES = ("speed", "acceleration", "jerk")
 """Limits of the joint references, by the order of the derivative."""
-
-FALLING = {"torque": 0.5, "speed": 1.0, "acceleration": 0.5, "jerk": 1.0 / 3.0, "power": 1.0 / 3.0, "rms_torque": 0.5,
-    "motor_torque": 0.5, "motor_rms_torque": 0.5, "motor_speed": 1.0, "reaction": 0.5, "stress": 0.5,
-    "energy": 0.5, "regenerated_energy": 0.5, "supply_power": 1.0 / 3.0, "regenerated_power": 1.0 / 3.0, "residual": 0.1}  # fmt: skip
-"""How the time scales with the use of a limit; the residual vibration falls faster, and only slows a motion down, by and by."""
 
 MET = 1e-5
 """Relative excess over a limit that counts as rounding."""
@@ -103,11 +94,7 @@ class Variation:
 
     def of(self, scene: Scene) -> Scene:
         """The scene of this robot."""
-        keys = {"material.youngs_modulus": "mechanism.material.youngs_modulus"}
-        changes: dict[str, Any] = {}
-        for name, value in self.changes(scene).items():
-            changes[f"effects.{name}" if name.startswith("damping.") else keys.get(name, name)] = value
-        return scene.replace(changes)
+        return scene_with_parameters(scene, self.changes(scene))
 
     def __str__(self) -> str:
         text = f"{self.payload:g} kg"
@@ -128,7 +115,7 @@ class Goals:
     Attributes:
         scene: the given scene, from a start at rest, with a dwell that shows the residual vibration.
         wishes: its section `plan`.
-        limits: by name.
+        limits: by name; ``clearance`` is that of a depth.
         clearance: where the end effector may go.
         payload: mass that the planned scene has [kg]; None for that of `scene`.
         own: the given motion of the joints where it isn't the scene's.
@@ -275,22 +262,23 @@ def _goals_of_motion(scene: Scene) -> Goals:
             f"leave the band out, or set `effects.damping`"
         )
     longer, empty = judged_scene(scene, wishes), not scene.payload.mass and payload_band(scene, wishes)[1] > 0.0
-    asked: dict[str, Any] = {
-        **(USUAL if scene.motor is None else OF_MOTORS),
-        **wishes.limits.model_dump(exclude_none=True),
+    limits = {
+        name: Limit(name, most, "m", rounding=MET)
+        for name, most in (("residual", wishes.residual), ("clearance", wishes.margin))
     }
-    for name in OF_MOTORS if scene.motor is None else ():
-        if name in asked:
+    for name in PlanLimits.model_fields:
+        asked = getattr(wishes.limits, name)
+        if name in OF_MOTORS and scene.motor is None and asked is not None:
             raise InputError(
                 f"`plan.limits.{name}` is relative to what the motors can, and scene {scene.name} has none: add a section `motor`"
             )
-    limits = {
-        name: Limit(name, value.ratio, "1", is_relative=True, rounding=MET)
-        if isinstance(value, Ratio)
-        else Limit(name, value, UNITS[name], rounding=MET)
-        for name in type(wishes.limits).model_fields
-        if (value := getattr(wishes.limits, name) or asked.get(name)) not in (None, "free")
-    }
+        value = asked or (USUAL if scene.motor is None else OF_MOTORS).get(name, "free")
+        if isinstance(value, Ratio):
+            limits[name] = Limit(name, value.ratio, "1", is_relative=True, rounding=MET)
+        elif value != "free":
+            limits[name] = Limit(name, value, unit_of((name,), PlanLimits) or "1", rounding=MET)
+    if wishes.duration is not None:
+        limits["time"] = Limit("time", wishes.duration, "s", rounding=MET)
     return Goals(longer, wishes, limits, _clearance(longer, wishes), 0.0 if empty else None, loop=loop)
 
 
@@ -468,5 +456,5 @@ def _check_duration(goals: Goals) -> None:
             turn = " and ".join(f"{each:.4g}" for each in turns)
             raise InputError(
                 f"`plan.duration` = {duration:g} s is below {least:.4g} s, which a joint needs to turn by {turn} rad{resting} with "
-                f"`plan.limits.{name}` of {value:.4g} {UNITS[name]}: allow more time or more {name}"
+                f"`plan.limits.{name}` of {value:.4g} {unit_of((name,), PlanLimits)}: allow more time or more {name}"
             )

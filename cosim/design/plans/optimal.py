@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, cases_of, needs
-from flexfmu.cosim.design.plans.goals import FALLING, RATES, UNITS, Goals, Variation
+from flexfmu.cosim.design.plans.goals import RATES, Goals, Variation
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.planning import plan_rigid
@@ -76,9 +76,7 @@ INTERRUPTED = "optimal control, interrupted"
 RETURN = 1e-6
 """Distance from start to end [m] below which a motion returns."""
 
-LOADS = tuple(
-    each for each in optimal_control.GROUPS if each in UNITS and each not in ("torque", *RATES, "clearance", "residual")
-)
+LOADS = optimal_control.GROUPS[optimal_control.RESIDUAL + 1 :]
 """Limits of motors, joints and links besides the torque, which the programmes have."""
 
 
@@ -198,8 +196,11 @@ def refined(
     return True
 
 
-FRONT_TO: Mapping[str, float] = {"power": 0.35, "rms_torque": 0.6, "energy": 0.5, "jerk": 0.25, "residual": 0.01}
-"""Levels of a front down to this share of what the motion without that limit needs."""
+FRONT_TO: Mapping[str, tuple[float, float]] = {
+    "power": (0.35, 1 / 3), "rms_torque": (0.6, 0.5), "energy": (0.5, 0.5), "jerk": (0.25, 1 / 3), "residual": (0.01, 0.1)
+}  # fmt: skip
+"""Levels of a front down to this share of what the motion without that limit needs, and the exponent with which the time falls as the level
+rises; the residual vibration falls faster, and only slows a motion down, by and by."""
 
 NEAR_FRONT = 0.1
 """Violation of the limits up to which a motion of a front is given to the FMU to judge."""
@@ -220,7 +221,7 @@ def _front(
     own = {name: Limit(name, 1.0, "1", is_relative=True) for name in axes if name != "residual"}
     unit_ways, unit_loads = limited(replace(goals, limits={**goals.limits, **own}), given, motions)
     natural = {name: LOOSER if name == "residual" else LIFTED for name in axes}
-    levels = [np.geomspace(1.0, FRONT_TO[name], LEVELS[len(axes) - 1]).tolist() for name in axes]
+    levels = [np.geomspace(1.0, FRONT_TO[name][0], LEVELS[len(axes) - 1]).tolist() for name in axes]
     # forth and back, so that neighbours follow each other
     grid = [(first, *more) for k, first in enumerate(levels[0]) for more in list(product(*levels[1:]))[:: (-1) ** k]]
     splines, before = list[JointSpline](), dict[str, float]()
@@ -229,7 +230,9 @@ def _front(
         excess = {name: 1.0 / factor for name, factor in factors.items()}
         for again in range(2):
             if splines:
-                slower = max(((before[name] / each) ** FALLING[name] for name, each in factors.items()), default=1.0)
+                slower = max(
+                    ((before[name] / each) ** FRONT_TO[name][1] for name, each in factors.items()), default=1.0
+                )
                 slower = 1.0 if again or goals.wishes.duration is not None else max(slower, 0.9)
                 ways, loads = _from_motions(unit_ways, unit_loads, excess, splines, slower)
                 tried = attempt(("front", number, again), ways, loads, 0.0, NEAR_FRONT)
@@ -437,9 +440,7 @@ def limited(
     """The ways with the goals' limits in numbers, for each robot relative to what the given motion or cycle needs in the same model, and
     the limits of the cycle's loads for each case; with walls, what a way passes through counts by the way around it."""
     share, clear, quiet = RESERVE
-    speed, acceleration, jerk = (
-        goals.limit(name, np.full(2, value)) for name, value in zip(RATES, given.references, strict=True)
-    )
+    speed, acceleration, jerk = (goals.limit(name, np.full(2, given.worst(name))) for name in RATES)
     drives, each_goals = goals.drives, goals.ways or (goals,)
     if drives is not None and "motor_speed" in goals.limits:
         largest = np.array([each.maximum_speed / each.gear_ratio for each in drives.motors])
@@ -542,7 +543,7 @@ def _references(goals: Goals, scene: Scene) -> tuple[Any, ...]:
         residual=0.2 * goals.wishes.residual,
         off_path=0.9 * goals.wishes.margin,
         torque=USED * goals.limit("torque", torques) if "torque" in goals.limits else None,
-        jerk=USED * float(goals.limit("jerk", np.array(given.references[2]))) if "jerk" in goals.limits else None,
+        jerk=USED * float(goals.limit("jerk", np.array(given.jerk))) if "jerk" in goals.limits else None,
     )
     try:
         changes = [each.changes(goals.scene) for each in variations]

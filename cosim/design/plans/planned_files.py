@@ -427,7 +427,7 @@ def _references_plot(result: PlanResult, runs: Sequence[Run], way: str = "") -> 
             for joint, dashes in enumerate(("", DASHED)):
                 label = f"{motion} {joint + 1}"
                 curves.append(Curve(instants, values[:, joint], label, colour, dashes=dashes))
-        usual = np.array(result.given.references[order - 1])
+        usual = np.array(result.given.worst(name))
         level = float(result.goals.limit(name, usual)) if name in result.goals.limits else None
         panels.append(Panel(label=f"{name}\n[{FIGURES[name].shown_unit}]", curves=curves, level=level))
     caption = "Both joints of both motions. Dashed: the limit, where it is near."

@@ -297,6 +297,8 @@ def test_motors_replace_the_given_motions_limits() -> None:
     motor = {"continuous_torque": 1.6, "peak_torque": 4.8, "maximum_speed": 600.0, "gear_ratio": 25.0}
     limits = goals_of(scene.replace({"motor": motor, "plan.limits.power": {"ratio": 1.5}})).limits
     assert limits.keys() == {
+        "residual",
+        "clearance",
         "motor_torque",
         "motor_rms_torque",
         "motor_speed",

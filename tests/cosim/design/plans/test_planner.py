@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 import flexfmu
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans import planner
-from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, file_candidate, own_candidate
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, Peaks, file_candidate, own_candidate
 from flexfmu.cosim.design.plans.goals import Variation, check_holding_torque, goals_of
 from flexfmu.cosim.design.plans.planned_files import write_plan, write_scene
 from flexfmu.cosim.design.plans.planner import FRONT, PlanResult, best, plan_scene
@@ -163,7 +163,7 @@ def test_the_chosen_motion_misses_least_or_is_the_fastest_that_keeps_all(
     limits = [Limit(name, most, "1") for name, most in (("torque", 2.0), ("power", 50.0), ("residual", 1e-6))]
     candidate = Candidate("drawn", "search", GOALS.scene)
     found = [
-        Assessment(candidate, time, (), (0.0,) * 3, tuple(each.used(s * each.limit) for each, s in zip(limits, shares, strict=True)))
+        Assessment(candidate, (Peaks(Variation(1.0), {"time": (time,)}, {}),), tuple(each.used(s * each.limit) for each, s in zip(limits, shares, strict=True)))
         for time, shares in tried
     ]  # fmt: skip
     worst = [max(math.inf if math.isnan(each) else each for each in shares) for _, shares in tried]
