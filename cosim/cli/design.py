@@ -4,7 +4,7 @@ worth; gains and other keys of a scene, chosen by runs; input shapers, designed 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -777,16 +777,15 @@ def with_wishes(scene: Scene, wishes: dict[str, Any], limits: list[str]) -> Scen
     return scene.replace(changes) if changes else scene
 
 
-SHOWN = 12
-"""Motions of the front that the terminal shows."""
+SHOWN, SHOWN_FIGURES = 12, ("time", "residual", "power", "energy")
+"""Motions of the front that the terminal shows, and what they need, of a front that isn't asked for."""
 
 
 def _shown_plan(result: PlanResult) -> Iterator[RenderableType]:
     """What the given and the chosen motion need, how close this comes to each limit, the front, the chosen motion in other models, and the verdict."""
     from flexfmu.cosim.design.plans.planned_files import (
-        front_table,
-        headings,
         limits_table,
+        motions_table,
         robustness_table,
         summary_table,
         ways_table,
@@ -798,27 +797,21 @@ def _shown_plan(result: PlanResult) -> Iterator[RenderableType]:
     yield f"{result.goals.scene.name}: {chosen.candidate.label}: {chosen.time:.4g} s{faster}"
     if chosen is not given:
         yield as_terminal_table(summary_table(result))
-    if result.ways:
-        yield as_terminal_table(ways_table(result))
+    yield from map(as_terminal_table, ways_table(result))
     yield as_terminal_table(limits_table(chosen), texts=("Unit", "Kept", "Where"))
     # motions over the whole front, the given and the chosen one and those to compare with among them; the page has all figures
-    table, count = front_table(result), len(result.table)
-    left_out = {"Method", *headings([name for name in ("jerk", "off_path") if name not in result.goals.wishes.front])}
-    shown = [k for k, name in enumerate(table.header) if name not in left_out]
-    table = replace(
-        table, header=[table.header[k] for k in shown], rows=[[row[k] for k in shown] for row in table.rows]
-    )
+    motions, front, title = result.table, result.front, "Pareto front"
+    count = len(motions)
     if count > SHOWN:
         spread = {round(k * (count - 1) / (SHOWN - 3)) for k in range(SHOWN - 2)}
-        labels = {each.candidate.label for each in (chosen, given)}
-        always = (each not in result.front or each.candidate.label in labels for each in result.table)
-        rows = [row for k, (row, there) in enumerate(zip(table.rows, always, strict=True)) if k in spread or there]
-        title = table.title if len(rows) == count else f"{table.title}: {len(rows)} of {count}, all in front.csv"
-        table = replace(table, title=title, rows=rows)
-    yield as_terminal_table(table, texts=("Limits",))
+        always = {chosen, given, *motions} - ({*front} - {chosen, given})
+        motions = tuple(each for k, each in enumerate(motions) if k in spread or each in always)
+        title += "" if len(motions) == count else f": {len(motions)} of {count}, all in front.csv"
+    figures = result.axes if result.goals.wishes.front else SHOWN_FIGURES
+    yield as_terminal_table(motions_table(result, title, motions, "", figures, is_brief=True), texts=("Limits",))
     kept = sum(each.feasible for each in result.assessed)
     count = len(result.assessed)
     yield f"Tried: {count} motion{'s' if count != 1 else ''}, {kept} within all limits; all are in plan.html and plan.json."
-    if result.robustness:
-        yield as_terminal_table(robustness_table(result), texts=("Model", "Worst for", "Limits"))
+    for table in robustness_table(result):
+        yield as_terminal_table(table, texts=("Model", "Worst for", "Limits"))
     yield f"{result.verdict[0].upper()}{result.verdict[1:]}."

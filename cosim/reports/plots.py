@@ -250,7 +250,7 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
     yield scene_plot(run.plan, robot)
     last = f" in the last {LONGEST:g} s" if np.ptp(run.recording.time) > LONGEST else ""
     caption = f"Path of the end effector{last}; its deviation from the rigid robot × {robot['magnification']:g}."
-    yield _to_scale("path", "Path", caption, path_panel(run, robot["magnification"]))
+    yield to_scale("path", "Path", caption, path_panel(run, robot["magnification"]))
     for key, title, caption, rows in SIGNALS:
         panels = list[Panel]()
         for label, (factor, names) in rows.items():
@@ -337,12 +337,13 @@ def scene_plot(plan: MotionPlan, robot: Mapping[str, Any] | None = None) -> Plot
     caption = "The rigid mechanism at start, middle and end of the path. With scripts it moves"
     caption += "." if robot is None else ", its deviation from the rigid robot magnified."
     robot = robot or robot_motion(plan, rigid_motion(plan), plan.scene)
-    return _to_scale("scene", "Scene", caption, scene_panel(plan, robot))
+    return to_scale("scene", "Scene", caption, scene_panel(plan, robot))
 
 
-def _to_scale(key: str, title: str, caption: str, panel: Panel) -> Plot:
+def to_scale(key: str, title: str, caption: str, panel: Panel) -> Plot:
     """Return a plot of a panel to scale [m], as high as that is; of one that would be a strip, with axes of their own scales."""
-    x, y = (float(np.ptp(np.concatenate([getattr(curve, axis) for curve in panel.curves]))) for axis in "xy")
+    along = (np.concatenate([getattr(curve, axis) for curve in panel.curves]) for axis in "xy")
+    x, y = (float(np.nanmax(each) - np.nanmin(each)) for each in along)
     beside, shape = BESIDES + LEGEND * any(curve.label for curve in panel.curves), y / x
     if not STRIP <= shape <= 1.0 / STRIP:
         panel, caption, shape = (

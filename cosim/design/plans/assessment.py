@@ -261,9 +261,11 @@ class Assessment:
         return next((use.value for use in self.uses if use.name == "torque ratio"), math.nan)
 
     @property
-    def figures(self) -> dict[str, float]:
-        """All of `FIGURES`."""
-        return {name: self.worst(name) for name in FIGURES}
+    def row(self) -> dict[str, Any]:
+        """Label, method, all of `FIGURES`, the torque ratio, and whether it keeps to all limits."""
+        names = {"motion": self.candidate.label, "method": self.candidate.method}
+        figures = {name: self.worst(name) for name in FIGURES}
+        return names | figures | {"torque_ratio": self.torque_ratio, "feasible": bool(self.feasible)}
 
     @property
     def metrics(self) -> RunMetrics:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import tomlkit
+from pydantic_core import to_json
 
 from flexfmu.cosim.design.plans.assessment import FIGURES, INSTANTS, Assessment
 from flexfmu.cosim.design.plans.clearance import Clearance
@@ -25,7 +26,8 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, Curve, Marker, Panel
 from flexfmu.cosim.reports.comparison import ComparedRun, first_tiles, metrics_table, signal_plots
-from flexfmu.cosim.reports.page import WIDTH, Page, Plot, Table
+from flexfmu.cosim.reports.page import Page, Plot, Table
+from flexfmu.cosim.reports.plots import to_scale
 from flexfmu.cosim.reports.report import of_scene
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -49,9 +51,6 @@ DASHED, DOTTED = "5,3", "2,2"
 
 BORDER, LONG = 0.06, 2.0
 """Of the path's view, relative to its size; and half the length of lines [m]."""
-
-BESIDE, BESIDES = 55.0, 70.0
-"""Space beside, and above and below, the panel of a plot to scale, about [pt]."""
 
 
 def planned_scenes(folder: Path) -> list[Scene]:
@@ -149,21 +148,16 @@ def write_plan(result: PlanResult, folder: Path) -> list[Path]:
 
 
 def summary(result: PlanResult) -> dict[str, Any]:
-    """The plan as plain data, in SI units."""
+    """The plan as plain data, in SI units; None for what isn't known."""
 
     def figures(each: Assessment) -> dict[str, Any]:
-        return {
-            "motion": each.candidate.label,
-            "method": each.candidate.method,
-            **{name: value if math.isfinite(value) else None for name, value in each.figures.items()},
-            "feasible": each.feasible,
-            "limits": [
-                {"name": use.name, "value": float(use.value), "limit": float(use.limit), "unit": use.unit, "where": use.where, "met": bool(use.met)}
-                for use in each.uses
-            ],
-        }  # fmt: skip
+        limits = [
+            {key: getattr(use, key) for key in ("name", "value", "limit", "unit", "where")} | {"met": bool(use.met)}
+            for use in each.uses
+        ]
+        return each.row | {"limits": limits}
 
-    return {
+    data = {
         "scene": result.goals.scene.name,
         "minimise": result.goals.wishes.minimise,
         "payloads": list(result.goals.band),
@@ -171,13 +165,8 @@ def summary(result: PlanResult) -> dict[str, Any]:
         "chosen": figures(result.chosen),
         "front": [figures(each) for each in result.front],
         "tried": [
-            {
-                "motion": each.candidate.label,
-                "method": each.candidate.method,
-                "time": float(each.time),
-                "excess": float(each.excess),
-                "missed": {use.name: float(use.share) for use in each.uses if not use.met},
-            }
+            {key: each.row[key] for key in ("motion", "method", "time")}
+            | {"excess": each.excess, "missed": {use.name: use.share for use in each.uses if not use.met}}
             for each in result.assessed
         ],
         "compared": [figures(each) for each in result.table if each not in result.front],
@@ -186,15 +175,13 @@ def summary(result: PlanResult) -> dict[str, Any]:
         "interrupted": result.interrupted,
         "failures": list(result.failures),
         "robustness": [
-            {
-                **{key: value for key, value in vars(line).items() if key != "uses"},
-                "residual": line.residual if math.isfinite(line.residual) else None,
-                "missed": list(line.missed),
-            }
+            {**{key: value for key, value in vars(line).items() if key != "uses"}, "missed": list(line.missed)}
             for line in result.robustness
         ],
         "cpu_time": result.cpu_time,
     }
+    plain: dict[str, Any] = json.loads(to_json(data, inf_nan_mode="null"))
+    return plain
 
 
 def plan_page(result: PlanResult) -> str:
@@ -203,50 +190,35 @@ def plan_page(result: PlanResult) -> str:
     Raises:
         ResultsError: a run for the signals failed.
     """
-    tables = [
-        summary_table(result),
-        *([ways_table(result)] if result.ways else []),
-        limits_table(result.chosen),
-        front_table(result),
-        tried_table(result),
-    ]
-    tables += [robustness_table(result)] if result.robustness else []
-    plots = [_front_plot(result)]
-    every, compared = result.goals.ways or (result.goals,), list[ComparedRun]()
+    tables = [summary_table(result), *ways_table(result), limits_table(result.chosen), front_table(result)]
+    tables += [tried_table(result), *robustness_table(result)]
+    plots, compared = [_front_plot(result)], list[ComparedRun]()
+    every = result.goals.ways or (result.goals,)
     for number, (goals, pair) in enumerate(zip(every, result.ways or [(result.given, result.chosen)], strict=True), 1):
         runs = [each.candidate.prepared().run() for each in pair]
         way = f", way {number}" if result.ways else ""
-        compared += [
-            ComparedRun(f"{name}{way}", run.recording, measure_run(run), run.plan.duration)
-            for name, run in zip(NAMES, runs, strict=True)
-        ]
+        for name, run in zip(NAMES, runs, strict=True):
+            compared.append(ComparedRun(f"{name}{way}", run.recording, measure_run(run), run.plan.duration))
         plots += [_path_plot(goals, runs, way), _references_plot(result, runs, way)]
     low, high = result.goals.band
     # what was planned, and whether it keeps to all limits
     chosen = result.chosen.candidate
     lead = f"{chosen.label} ({chosen.method}), for payloads of {low:.4g} to {high:.4g} kg: {result.verdict}."
     lead += " Stopped before the end: this is the best motion so far." if result.interrupted else ""
-    title = f"{result.goals.scene.name}: planned motion"
+    title, frame = f"{result.goals.scene.name}: planned motion", of_scene(runs[-1].scene, runs[-1])
     tables.append(metrics_table(compared))
-    frame = of_scene(runs[-1].scene, runs[-1])
     return Page(title, lead, [*plots, *signal_plots(compared)], tables, first_tiles(compared), **frame).html
 
 
 def summary_table(result: PlanResult) -> Table:
     """Worst figures over the bands, of the given and the chosen motion."""
-    given, chosen = result.given, result.chosen
-    rows = [
-        [
-            f"{figure.label} [{figure.shown_unit}]",
-            figure.text(one),
-            figure.text(other),
-            f"{other / one:.3g}" if one else "-",
-        ]
-        for (name, figure), one, other in zip(
-            FIGURES.items(), given.figures.values(), chosen.figures.values(), strict=True
-        )
-        if name != "clearance"
-    ]
+    rows = []
+    for name, figure in FIGURES.items():
+        if name == "clearance":
+            continue
+        one, other = (each.worst(name) for each in (result.given, result.chosen))
+        ratio = f"{other / one:.3g}" if one else "-"
+        rows.append([f"{figure.label} [{figure.shown_unit}]", figure.text(one), figure.text(other), ratio])
     note = f"Worst of all robots within the bands; the motion may enter the keep-out region by {1e3 * result.goals.wishes.margin:g} mm."
     return Table("Planned motion", ["", *NAMES, "ratio"], rows, note)
 
@@ -255,31 +227,41 @@ SHOWN = ("time", "residual", "torque", "rms_torque", "power", "energy", "jerk", 
 """Figures that tables of several motions have."""
 
 
-def headings(figures: Sequence[str] = SHOWN) -> list[str]:
-    """Headings of the columns of figures."""
-    return [FIGURES[name].heading for name in figures]
-
-
-def _shown(found: Assessment, figures: Sequence[str] = SHOWN) -> list[str]:
-    """The cells of these columns."""
-    return [FIGURES[name].text(getattr(found, name)) for name in figures]
-
-
-def ways_table(result: PlanResult) -> Table:
-    """What each way of a cycle needs, of the given and the chosen one, the worst of its payloads."""
+def motions_table(
+    result: PlanResult,
+    title: str,
+    motions: Sequence[Assessment],
+    note: str,
+    figures: Sequence[str] = SHOWN,
+    *,
+    is_brief: bool = False,
+) -> Table:
+    """Motions with figures, and whether they keep to the limits; a brief table has no method, and of what is missed the worst."""
+    header = ["Motion", *([] if is_brief else ["Method"]), *(FIGURES[name].heading for name in figures), "Limits"]
     rows = []
+    for each in motions:
+        names = [each.candidate.label, *([] if is_brief else [each.candidate.method])]
+        rows.append([*names, *_shown(each, figures), standing(result, each, 1 if is_brief else None)])
+    return Table(title, header, rows, note)
+
+
+def _shown(found: Assessment, figures: Sequence[str]) -> list[str]:
+    """The cells of figures."""
+    return [FIGURES[name].text(found.worst(name)) for name in figures]
+
+
+def ways_table(result: PlanResult) -> list[Table]:
+    """What each way of a cycle needs, of the given and the chosen one, the worst of its payloads; nothing for a single motion."""
+    rows, figures = [], SHOWN[:6]
     for number, pair in enumerate(result.ways, 1):
         for name, each in zip(NAMES, pair, strict=True):
             masses = [peaks.variation.payload for peaks in each.peaks]
             payloads = dict.fromkeys(f"{mass:.4g}" for mass in (min(masses), max(masses)))
-            rows.append([f"{number}, {name}", " to ".join(payloads), *_shown(each, SHOWN[:6])])
+            rows.append([f"{number}, {name}", " to ".join(payloads), *_shown(each, figures)])
     pauses = ", ".join(f"{goals.pause:g} s" for goals in result.goals.ways)
-    return Table(
-        "Ways of the cycle",
-        ["Way", "Payloads [kg]", *headings(SHOWN[:6])],
-        rows,
-        f"Each from rest, the worst of its payloads; pauses after them: {pauses}.",
-    )
+    header = ["Way", "Payloads [kg]", *(FIGURES[name].heading for name in figures)]
+    note = f"Each from rest, the worst of its payloads; pauses after them: {pauses}."
+    return [Table("Ways of the cycle", header, rows, note)] if rows else []
 
 
 def limits_table(found: Assessment) -> Table:
@@ -297,81 +279,67 @@ def limits_table(found: Assessment) -> Table:
 
 def front_table(result: PlanResult) -> Table:
     """The front and the motions to compare with, the fastest first."""
-    rows = [
-        [each.candidate.label, each.candidate.method, *_shown(each), standing(result, each)] for each in result.table
-    ]
     note = f"No other motion found beats one of these in every figure of {', '.join(result.axes)}."
     if len(result.table) > len(result.front):
         note = "Motions that no other one beats in every figure, and for comparison those of other planners and files."
-    return Table("Pareto front", ["Motion", "Method", *headings(), "Limits"], rows, note)
+    return motions_table(result, "Pareto front", result.table, note)
 
 
 def tried_table(result: PlanResult) -> Table:
     """All motions that were tried, those nearest to the limits first."""
     tried = sorted(result.assessed, key=lambda each: (each.excess, each.time))
-    rows = [
-        [each.candidate.label, each.candidate.method, *_shown(each, SHOWN[:2]), standing(result, each)]
-        for each in tried
-    ]
     note = "Of what is missed, the largest share of its limit."
-    return Table("Motions that were tried", ["Motion", "Method", *headings(SHOWN[:2]), "Limits"], rows, note)
+    return motions_table(result, "Motions that were tried", tried, note, SHOWN[:2])
 
 
-def standing(result: PlanResult, found: Assessment) -> str:
-    """Whether a motion keeps to the limits, what it needs of those that it misses, and whether it is the chosen one."""
+def standing(result: PlanResult, found: Assessment, most: int | None = None) -> str:
+    """Whether a motion keeps to the limits, what it needs of those that it misses, and whether it is the chosen one.
+
+    Of the limits that it misses there are so many, the worst ones; None for all.
+    """
     missed = [f"{use.name} {use.share:.3g}x" for use in sorted(found.uses, key=lambda use: -use.share) if not use.met]
-    text = f"misses {', '.join(missed)}" if missed else "kept"
+    more = f" and {len(missed) - most} more" if most is not None and len(missed) > most else ""
+    text = f"misses {', '.join(missed[:most])}{more}" if missed else "kept"
     return f"{text}, chosen" if found is result.chosen else text
 
 
-def robustness_table(result: PlanResult) -> Table:
-    """The chosen motion in other models."""
-    rows = [
-        [
-            line.model,
-            f"{1e6 * line.residual:.3g}" if math.isfinite(line.residual) else "-",
-            line.where,
-            "-" if line.torque_ratio is None else f"{line.torque_ratio:.3f}",
-            "-" if line.off_path is None else f"{1e3 * line.off_path:.3g}",
-            f"misses {', '.join(line.missed)}" if line.missed else "kept" if line.uses else line.note,
-        ]
-        for line in result.robustness
-    ]
+def robustness_table(result: PlanResult) -> list[Table]:
+    """The chosen motion in other models; nothing without them."""
+    rows = []
+    for line in result.robustness:
+        values = line.residual, line.torque_ratio, line.off_path
+        factors = 1e6, 1.0, 1e3
+        cells = ["-" if math.isnan(value) else f"{k * value:.3g}" for value, k in zip(values, factors, strict=True)]
+        limits = f"misses {', '.join(line.missed)}" if line.missed else "kept" if line.uses else line.note
+        rows.append([line.model, cells[0], line.where, *cells[1:], limits])
     header = ["Model", "Residual [µm]", "Worst for", "Torque ratio", "Off path [mm]", "Limits"]
-    return Table("In other models", header, rows, "Torques are relative to the given motion's in the same model.")
+    note = "Torques are relative to the given motion's in the same model."
+    return [Table("In other models", header, rows, note)] if rows else []
 
 
 def _front_plot(result: PlanResult) -> Plot:
     """The other figures of the front over its first one."""
-    along, *names_drawn = result.axes
-    figures = dict[str, list[float]]()
-    for name in names_drawn:
-        values = [FIGURES[name].factor * getattr(each, name) for each in result.table]
-        label = f"{name.replace('_', ' ')}\n[{FIGURES[name].shown_unit}]"
-        figures[label] = [max(each, LEAST) for each in values] if name == "residual" else values
-    panels, names = list[Panel](), {id(result.given): "given", id(result.chosen): "chosen"}
-    for label, values in figures.items():
-        curves = []
-        for group, colour in (("limits kept", PALETTE[0]), ("limits missed", PALETTE[1])):
-            places = [k for k, each in enumerate(result.table) if each.feasible == (group == "limits kept")]
-            if places:
-                x, y = (
-                    np.array([getattr(result.table[k], along) for k in places]),
-                    np.array([values[k] for k in places]),
-                )
-                notes = [f"{result.table[k].candidate.label}: {standing(result, result.table[k])}" for k in places]
+    along, *names = result.axes
+    panels, marked = list[Panel](), {result.given: "given", result.chosen: "chosen"}
+    for name in names:
+        figure, is_residual, curves = FIGURES[name], name == "residual", list[Curve]()
+        # logarithmic for residual vibrations
+        values = {each: figure.factor * each.worst(name) for each in result.table}
+        places = {each: (each.worst(along), max(y, LEAST) if is_residual else y) for each, y in values.items()}
+        for is_kept, group, colour in ((True, "limits kept", PALETTE[0]), (False, "limits missed", PALETTE[1])):
+            if motions := [each for each in places if each.feasible == is_kept]:
+                x, y = np.array([places[each] for each in motions]).T
+                notes = [f"{each.candidate.label}: {standing(result, each)}" for each in motions]
                 curves.append(Curve(x, y, group, colour, width=0.0, dot="disc", notes=notes))
         # discs about the given and the chosen motion, with their names in the first panel
         markers = [
-            Marker(
-                getattr(each, along), value, 11.0, INK, 0.25, text="" if panels else names[id(each)], offset=(9.0, 3.0)
-            )
-            for each, value in zip(result.table, values, strict=True)
-            if id(each) in names
+            Marker(*places[each], 11.0, INK, 0.25, text="" if panels else text, offset=(9.0, 3.0))
+            for each, text in marked.items()
+            if each in places
         ]
-        scale, level = ("y", 1e6 * result.goals.wishes.residual) if "residual" in label else ("", None)
-        panel = Panel(label=label, curves=curves, markers=markers, is_function=False, logarithmic=scale, level=level)
-        panels.append(panel)
+        scale, level = ("y", 1e6 * result.goals.wishes.residual) if is_residual else ("", None)
+        label = f"{name.replace('_', ' ')}\n[{figure.shown_unit}]"
+        panels.append(Panel(label, curves, markers, is_function=False, logarithmic=scale, level=level))
     caption = "The motions of the table. Dashed: the limit of the residual vibration."
     return Plot("front", "Pareto front", caption, tuple(panels), FIGURES[along].heading, 330.0)
 
@@ -390,11 +358,9 @@ def _path_plot(goals: Goals, runs: Sequence[Run], way: str = "") -> Plot:
     for number, points in enumerate(shown):
         label = "" if number else "keep-out"
         curves.append(Curve(points[:, 0], points[:, 1], label, GREY, width=1.0, dashes=DOTTED, is_read=False))
-    panel = Panel(label="y [m]", curves=curves, is_to_scale=True, is_function=False)
-    width, height = view[1] - view[0]
     caption = "With the scene's own payload; dotted: regions to stay out of and lines not to cross."
-    size = BESIDES + (WIDTH - BESIDE) * float(height / width)
-    return Plot(f"path{way[-1:]}", f"Path of the end effector{way}", caption, (panel,), "x [m]", size)
+    panel = Panel(label="y [m]", curves=curves, is_to_scale=True, is_function=False)
+    return to_scale(f"path{way[-1:]}", f"Path of the end effector{way}", caption, panel)
 
 
 def _view(points: RealArray, clearance: Clearance) -> RealArray:

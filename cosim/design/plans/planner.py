@@ -133,18 +133,11 @@ class PlanResult(Rows):
 
         A motion that misses a limit isn't better than one that keeps all. The chosen motion is always there.
         """
-        others = [each for each in self.assessed if each.candidate is not self.chosen.candidate]
-        everyone = [*([] if self.chosen is self.given else [self.chosen]), self.given, *others]
-        best = [
-            each
-            for each in everyone
-            if each is self.chosen or not any(_dominates(other, each, self.axes) for other in everyone)
-        ]
+        everyone, kept = (self.given, *self.assessed), list[Assessment]()
         # the chosen one first, so that none like it replaces it
-        kept = list[Assessment]()
-        for each in sorted(best, key=lambda each: (each is not self.chosen, each.time)):
-            pairs = ([(getattr(each, name), getattr(other, name)) for name in self.axes] for other in kept)
-            if not any(all(math.isclose(*pair, rel_tol=ALIKE) for pair in of_both) for of_both in pairs):
+        for each in sorted(everyone, key=lambda each: (each is not self.chosen, each.time)):
+            is_beaten = any(_dominates(other, each, self.axes) for other in everyone)
+            if each is self.chosen or not (is_beaten or any(_alike(each, other, self.axes) for other in kept)):
                 kept.append(each)
         return tuple(sorted(kept, key=lambda each: each.time))
 
@@ -152,8 +145,7 @@ class PlanResult(Rows):
     def table(self) -> tuple[Assessment, ...]:
         """The front and, to compare with, motions of the user; the fastest first."""
         front = self.front
-        there = {id(each.candidate) for each in front}
-        others = [each for each in self.assessed if each.candidate.method == "csv" and id(each.candidate) not in there]
+        others = [each for each in self.assessed if each.candidate.method == "csv" and each not in front]
         return tuple(sorted([*front, *others], key=lambda each: each.time))
 
     @property
@@ -164,16 +156,14 @@ class PlanResult(Rows):
     @property
     def verdict(self) -> str:
         """Whether the chosen motion keeps to all limits, in a sentence."""
-        if not self.missed:
-            uses = sorted(self.chosen.uses, key=lambda use: -use.share)
-            closest = [use for use in uses if use is uses[0] or use.share > BINDING]
-            listed = ", ".join(f"{use.name} {use.value:.4g} of {use.limit:.4g} ({use.where})" for use in closest)
-            return f"all limits are kept; the closest {'is' if len(closest) == 1 else 'are'} {listed}"
-        listed = ", ".join(
-            f"{use.name} {use.value:.4g} instead of {use.limit:.4g} ({use.where})" for use in self.missed
-        )
-        so_far = " so far" if self.interrupted else ""
-        return f"no motion found{so_far} keeps all limits; the nearest misses {listed}"
+        if self.missed:
+            listed = [f"{use.name} {use.value:.4g} instead of {use.limit:.4g} ({use.where})" for use in self.missed]
+            so_far = " so far" if self.interrupted else ""
+            return f"no motion found{so_far} keeps all limits; the nearest misses {', '.join(listed)}"
+        uses = sorted(self.chosen.uses, key=lambda use: -use.share)
+        closest = [use for use in uses if use is uses[0] or use.share > BINDING]
+        listed = [f"{use.name} {use.value:.4g} of {use.limit:.4g} ({use.where})" for use in closest]
+        return f"all limits are kept; the closest {'is' if len(closest) == 1 else 'are'} {', '.join(listed)}"
 
     def row_units(self) -> Mapping[str, str]:
         """Figure → unit."""
@@ -184,25 +174,25 @@ class PlanResult(Rows):
         from flexfmu.cosim.reports.figure_style import INK, draw, logarithmic, style
 
         along, *names = self.axes
-        groups = [
-            (self.assessed, "o", 3.5, INK, None),
-            ((self.given,), "s", 7.0, "#1f8a5f", "given"),
-            ((self.chosen,), "D", 7.0, "#c7394f", "chosen"),
-        ]
+        groups = {
+            "": (self.assessed, "o", 3.5, INK),
+            "given": ((self.given,), "s", 7.0, "#1f8a5f"),
+            "chosen": ((self.chosen,), "D", 7.0, "#c7394f"),
+        }
         with style():
             rows = (len(names) + 1) // 2
             drawing = draw(9.0, 2.8 * max(rows, 1.5))
             grid = drawing.subplots(rows, min(len(names), 2), sharex=True, squeeze=False).ravel()
             for axes, name in zip(grid, names, strict=True):
-                figure = FIGURES[name]
-                for group, sign, size, colour, label in groups:
-                    for each in group:
-                        place, face = (
-                            (getattr(each, along), figure.factor * getattr(each, name)),
+                figure, values = FIGURES[name], [each.worst(name) for each in (*self.assessed, self.given)]
+                for label, (motions, sign, size, colour) in groups.items():
+                    for each in motions:
+                        x, y, face = (
+                            each.worst(along),
+                            figure.factor * each.worst(name),
                             colour if each.feasible else "none",
                         )
-                        axes.plot(*place, sign, markersize=size, color=colour, markerfacecolor=face, label=label)
-                values = [getattr(each, name) for each in (*self.assessed, self.given)]
+                        axes.plot(x, y, sign, markersize=size, color=colour, markerfacecolor=face, label=label)
                 if max(values) > MANY * min(values) > 0.0:
                     logarithmic(axes)
                 axes.set_title(f"{figure.label} [{figure.shown_unit}]", fontsize=8.5)
@@ -214,16 +204,7 @@ class PlanResult(Rows):
 
     def rows(self) -> list[dict[str, Any]]:
         """The front, and motions to compare with, as rows: label, method, figures, and whether all limits are kept."""
-        return [
-            {
-                "motion": each.candidate.label,
-                "method": each.candidate.method,
-                **each.figures,
-                "torque_ratio": float(each.torque_ratio),
-                "feasible": each.feasible,
-            }
-            for each in self.table
-        ]
+        return [each.row for each in self.table]
 
 
 @one_blas_thread()
@@ -370,10 +351,15 @@ def _dominates(one: Assessment, other: Assessment, axes: Sequence[str]) -> bool:
     """Whether one is at least as good in every figure, and better in one; what misses a limit doesn't dominate what keeps all."""
     if other.feasible and not one.feasible:
         return False
-    pairs = [(getattr(one, name), getattr(other, name)) for name in axes]
+    pairs = [(one.worst(name), other.worst(name)) for name in axes]
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
+
+
+def _alike(one: Assessment, other: Assessment, axes: Sequence[str]) -> bool:
+    """Whether a front has one of both."""
+    return all(math.isclose(one.worst(name), other.worst(name), rel_tol=ALIKE) for name in axes)
 
 
 def best(found: Sequence[Assessment], minimise: str) -> Assessment:
     """Of motions that keep to all limits the one with least of what is minimised; without one the motion whose worst excess is least."""
-    return min(found, key=lambda each: (each.excess, float(getattr(each, minimise))))
+    return min(found, key=lambda each: (each.excess, each.worst(minimise)))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -74,8 +75,8 @@ class RobustnessLine:
         model: the model.
         residual: worst residual vibration [m], and for which robot.
         where: that robot.
-        torque_ratio: worst ratio of peak torques to the given motion's in the same model; None if it isn't compared.
-        off_path: largest distance of the end effector from the given path [m]; None if it isn't known.
+        torque_ratio: worst ratio of peak torques to the given motion's in the same model; NaN if it isn't compared.
+        off_path: largest distance of the end effector from the given path [m]; NaN if it isn't known.
         uses: use of each limit; empty if the limits aren't judged here.
         note: what else to know, in a few words.
     """
@@ -83,8 +84,8 @@ class RobustnessLine:
     model: str
     residual: float
     where: str
-    torque_ratio: float | None = None
-    off_path: float | None = None
+    torque_ratio: float = nan
+    off_path: float = nan
     uses: tuple[Limit, ...] = ()
     note: str = ""
 
@@ -142,7 +143,7 @@ def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOW
         except (CosimError, SceneError, TrajectoryError, EquilibriumError) as error:
             if isinstance(error.__cause__, OSError):
                 raise  # a full disk, for example
-            yield RobustnessLine(name, float("nan"), "", note=str(error))
+            yield RobustnessLine(name, nan, "", note=str(error))
 
 
 def richest_effects(scene: Scene) -> Mapping[str, Any]:
@@ -160,10 +161,8 @@ def _assessed(
     judge = Judge(goals_of(Variation(scene.payload.mass, stiffness, damping).of(scene)), PAYLOADS)
     robot = {key: getattr(judge.goals.scene, key) for key in ("mechanism", "effects", "payload")}
     found = judge.assess(replace(fixed, scene=fixed.scene.model_copy(update=robot)))
-    worst, ratio = max(found.peaks, key=lambda each: each.values["residual"]), found.torque_ratio
-    return RobustnessLine(
-        name, found.residual, str(worst.variation), None if np.isnan(ratio) else ratio, found.off_path, found.uses
-    )
+    worst = max(found.peaks, key=lambda each: each.values["residual"])
+    return RobustnessLine(name, found.residual, str(worst.variation), found.torque_ratio, found.off_path, found.uses)
 
 
 def _by_elements(fixed: Candidate, goals: Goals, name: str) -> RobustnessLine:

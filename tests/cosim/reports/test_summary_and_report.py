@@ -23,7 +23,7 @@ from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.cosim.reports.chart import unpacked
-from flexfmu.cosim.reports.plots import LONGEST, _to_scale, draw_plots, magnification, path_panel, robot_motion
+from flexfmu.cosim.reports.plots import LONGEST, draw_plots, magnification, path_panel, robot_motion, to_scale
 from flexfmu.cosim.reports.report import report_page
 from flexfmu.cosim.reports.summary import describe_effects, summarise
 
@@ -264,5 +264,5 @@ def test_of_a_long_run_the_end_is_shown(make_run: MakeRun) -> None:
 )
 def test_a_path_has_a_shape_that_shows_it(make_run: MakeRun, changes: dict[str, Any], is_to_scale: bool) -> None:
     """To scale where that is no strip; unequal scales are told."""
-    plot = _to_scale("k", "Path", "", path_panel(make_run(changes=changes), 1.0))
+    plot = to_scale("k", "Path", "", path_panel(make_run(changes=changes), 1.0))
     assert plot.panels[0].is_to_scale == is_to_scale == ("different scales" not in plot.caption)
