@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import monotonic
@@ -244,31 +245,24 @@ def plan_scene(
         raise InputError(f"unknown method {', '.join(unknown)}; choose from {', '.join(METHODS)}")
     work, clock = processor_time(), monotonic()
     goals = checked_goals(scene)
-    if before:
-        if len(before) != len(goals.ways or (goals,)):
-            raise InputError(
-                f"the earlier plan has {len(before)} motions, and this one {len(goals.ways or (goals,))}: warm starts are from as many ways"
-            )
-        if "optimal" not in methods:
-            raise InputError(
-                "optimal control goes on from an earlier plan: choose the method optimal too, or start anew"
-            )
-        goals = replace(goals, before=tuple(plan(each).once.joints for each in before))
+    count, is_optimal, named = len(goals.ways or (goals,)), "optimal" in methods, ", ".join(methods)
+    wrong = ""
+    if before and len(before) != count:
+        wrong = f"the earlier plan has {len(before)} motions, and this one {count}: warm starts are from as many ways"
+    elif before and not is_optimal:
+        wrong = "optimal control goes on from an earlier plan: choose the method optimal too, or start anew"
+    elif goals.ways and candidates:
+        wrong = "motions of your own are compared with single motions: leave out `plan.cycle`, or the motions"
+    elif goals.ways and methods and not is_optimal:
+        wrong = f"a cycle is planned by optimal control alone, not by {named}: choose it, or leave out `plan.cycle`"
+    elif goals.wishes.front and not is_optimal:
+        wrong = "`plan.front` is found by optimal control: choose the method optimal too, or leave out the front"
+    if wrong:
+        raise InputError(wrong)
+    goals = replace(goals, before=tuple(plan(each).once.joints for each in before))
     if goals.ways:
-        if candidates:
-            raise InputError(
-                "motions of your own are compared with single motions: leave out `plan.cycle`, or the motions"
-            )
-        if methods and "optimal" not in methods:
-            raise InputError(
-                f"a cycle is planned by optimal control alone, not by {', '.join(methods)}: choose the method optimal, or leave out `plan.cycle`"
-            )
         # other methods and models are for single motions
         methods, robust = [name for name in methods if name == "optimal"], False
-    if goals.wishes.front and "optimal" not in methods:
-        raise InputError(
-            "`plan.front` is found by optimal control: choose the method optimal too, or leave out the front"
-        )
     show("the given motion", None)
     PreparedScene(scene).check_size(companion=False)
     judge, is_new = Judge(goals, JUDGED, journal), not journal.done
@@ -290,14 +284,21 @@ def plan_scene(
         )
     candidates = [replace(each, scene=judged_scene(each.scene, goals.wishes)) for each in candidates]
 
+    @contextmanager
+    def noted(what: str) -> Iterator[None]:
+        # what fails doesn't end the plan; a full disk and the like are neither a motion's nor a method's fault
+        try:
+            yield
+        except FAILURES as error:
+            if isinstance(error.__cause__, OSError):
+                raise
+            failures.append(f"{what}: {error}")
+
     def proposed() -> Iterator[Candidate | str]:
         yield from candidates
         for name in (each for each in METHODS if each in methods):
-            try:
+            with noted(name):
                 yield from METHODS[name](judge, found, processes, watched)
-            except FAILURES as error:
-                # a method that fails doesn't end the plan
-                _note_failure(failures, name, error)
 
     def watched(text: str, share: float | None) -> None:
         show(text, share)
@@ -305,10 +306,8 @@ def plan_scene(
             raise KeyboardInterrupt
 
     def assess(candidate: Candidate) -> None:
-        try:
+        with noted(candidate.label):
             found.append(judge.assess(candidate))
-        except FAILURES as error:
-            _note_failure(failures, candidate.label, error)
 
     interrupted = False
     try:
@@ -338,13 +337,6 @@ def plan_scene(
 def about_plan(scene: Scene, before: Sequence[Scene]) -> dict[str, Any]:
     """What determines the results of a plan, for its journal: the scene, and the earlier plan that it goes on from."""
     return about_scene(scene) | ({"before": [about_scene(each) for each in before]} if before else {})
-
-
-def _note_failure(failures: list[str], what: str, error: Exception) -> None:
-    """Note why a motion or a method failed; a full disk and the like are neither's fault, and end the plan."""
-    if isinstance(error.__cause__, OSError):
-        raise error
-    failures.append(f"{what}: {error}")
 
 
 def _dominates(one: Assessment, other: Assessment, axes: Sequence[str]) -> bool:

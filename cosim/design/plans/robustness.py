@@ -118,14 +118,13 @@ def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOW
         BuildError: a model's FMU can't be built.
     """
     fixed, richest = frozen(candidate), {**richest_effects(goals.scene)}
-    lines: dict[str, Callable[[str], RobustnessLine]] = {
-        "planned model": partial(_assessed, fixed, goals, {}, 1.0, 1.0)
-    }
-    lines |= {name: partial(_assessed, fixed, goals, changes, 1.0, 1.0) for name, changes in RICHER.items()}
-    lines[RICHEST] = partial(_assessed, fixed, goals, richest, 1.0, 1.0)
+    robots = {"planned model": ({}, 1.0, 1.0), **{name: (changes, 1.0, 1.0) for name, changes in RICHER.items()}}
+    robots[RICHEST] = richest, 1.0, 1.0
     for name, (stiffness, damping) in BANDS.items():
         if damping == 1.0 or not isinstance(goals.scene.effects.damping, NoDampingSection):
-            lines[f"{RICHEST}, {name}"] = partial(_assessed, fixed, goals, richest, stiffness, damping)
+            robots[f"{RICHEST}, {name}"] = richest, stiffness, damping
+    lines: dict[str, Callable[[str], RobustnessLine]]
+    lines = {name: partial(_assessed, fixed, goals, *robot) for name, robot in robots.items()}
     lines["finite elements"] = partial(_by_elements, fixed, goals)
     if goals.loop is None:
         lines |= {name: partial(_usual_loop, controllers, fixed, goals) for name, controllers in LOOPS.items()}
