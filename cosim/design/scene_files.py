@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,29 @@ def write_changed(source: str | Path, target: Path, changes: Mapping[str, Any]) 
         ResultsError: the file can't be written.
     """
     write_whole(target, tomlkit.dumps(changed_document(source, target, changes)))
+    load_scene(target)
+    return target
+
+
+def write_new(data: Mapping[str, Any], target: Path, comments: Iterable[str] = ()) -> Path:
+    """Write a scene file of its own, with comments on top, and read it again.
+
+    Args:
+        data: what the file has.
+        target: the new file.
+        comments: lines.
+
+    Raises:
+        ResultsError: the file can't be written.
+    """
+    document = tomlkit.document()
+    for line in comments:
+        document.add(tomlkit.comment(line))
+    if comments:
+        document.add(tomlkit.nl())
+    for key, value in data.items():
+        document.add(key, toml_item(value))
+    write_whole(target, tomlkit.dumps(document))
     load_scene(target)
     return target
 

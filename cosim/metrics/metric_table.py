@@ -63,6 +63,8 @@ _DISPLAY: Mapping[str, tuple[str, float, float]] = {
     "s": ("s", 1.0, 1e-9),
     "rad": ("mrad", 1e3, 1e-12),
     "rad/s": ("rad/s", 1.0, 1e-9),
+    "rad/s2": ("rad/s2", 1.0, 1e-7),
+    "rad/s3": ("rad/s3", 1.0, 1e-5),
     "W": ("W", 1.0, 1e-5),
     "J": ("J", 1.0, 1e-6),
     "1": ("1", 1.0, 1e-12),

@@ -15,16 +15,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import tomlkit
 
 from flexfmu.cosim.design.gains.goals import parse_condition, parse_goal
 from flexfmu.cosim.design.gains.robustness import PayloadBand, band_masses
 from flexfmu.cosim.design.gains.search import BudgetExceeded, Search, descend_by_gradients
 from flexfmu.cosim.design.gains.trial import Interval, Study, Trial, check_keys, trial_journal
 from flexfmu.cosim.design.response.response import FrequencyResponse
-from flexfmu.cosim.design.scene_files import toml_item, write_changed
+from flexfmu.cosim.design.scene_files import write_changed, write_new
 from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.engine.files import OutputFolder, to_json, write_whole
+from flexfmu.cosim.engine.files import OutputFolder, to_json
 from flexfmu.cosim.engine.showing import Rows, ShowProgress, few_lines, quiet, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.many.executor import mapping
@@ -35,7 +34,6 @@ from flexfmu.cosim.reports.chart import INK, PALETTE, Curve, Panel
 from flexfmu.cosim.reports.page import TILES, Page, Plot, Table
 from flexfmu.cosim.reports.report import of_scene
 from flexfmu.model.one_thread import one_blas_thread
-from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.keys import full_key, location, value_at
 from flexfmu.model.scene.messages import unit_of
 from flexfmu.model.scene.schema import Scene
@@ -442,12 +440,7 @@ def write_tuned(
         SceneError: the file doesn't give the scene that was tuned.
     """
     if source is None:
-        document = tomlkit.document()
-        for key, value in result.scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True).items():
-            document.add(key, toml_item(value))
-        write_whole(target, tomlkit.dumps(document))
-        load_scene(target)
-        return target
+        return write_new(result.scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True), target)
     # tuned keys with their whole values: one number for both joints, or both
     data, tuned = result.scene.model_dump(mode="json", exclude_none=True), dict[str, Any]()
     for key in result.values:

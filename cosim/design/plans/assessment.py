@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +22,13 @@ from flexfmu.cosim.design.plans.sampled_loop import loop_run, tracking_error, wi
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.results import Recording
-from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.experiment.metric import Metric, RunMetrics
 from flexfmu.cosim.experiment.planning import plan, plan_own
 from flexfmu.cosim.experiment.scene_loop import loop_of, own_loop
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal, about_scene
 from flexfmu.cosim.many.prepared_scene import PreparedScene
+from flexfmu.cosim.metrics.metric_table import MetricDefinition
 from flexfmu.cosim.metrics.metrics import joint_speed, product
 from flexfmu.cosim.metrics.motors import motor_loads
 from flexfmu.cosim.metrics.segments import Analysis, HermiteSegments
@@ -168,46 +168,35 @@ class Peaks:
     times: Mapping[str, tuple[float, ...]]
 
 
-class AssessedFigure(NamedTuple):
-    """A figure of an assessment: label, SI unit, heading of a column, factor and unit with which it is shown."""
-
-    label: str
-    unit: str
-    short: str
-    factor: float = 1.0
-    shown: str = ""
-
-    @property
-    def shown_unit(self) -> str:
-        """The unit with which it is shown."""
-        return self.shown or shown_unit(self.unit)
-
-    @property
-    def heading(self) -> str:
-        """Heading of a column, with the unit."""
-        return f"{self.short} [{self.shown_unit}]"
-
-    def text(self, value: float) -> str:
-        """A value [SI] as it is shown."""
-        return f"{self.factor * value:.4g}"
-
-
-FIGURES: Mapping[str, AssessedFigure] = {
-    "time": AssessedFigure("Total time", "s", "Time"),
-    "residual": AssessedFigure("Residual vibration", "m", "Residual", 1e6, "µm"),
-    "torque": AssessedFigure("Peak torque", "N.m", "Torque"),
-    "rms_torque": AssessedFigure("RMS torque", "N.m", "RMS"),
-    "power": AssessedFigure("Power of a motor", "W", "Power"),
-    "supply_power": AssessedFigure("Power of the supply", "W", "Supply"),
-    "regenerated_power": AssessedFigure("Power back", "W", "Back"),
-    "energy": AssessedFigure("Energy", "J", "Energy"),
-    "off_path": AssessedFigure("Off the path", "m", "Off path", 1e3, "mm"),
-    "speed": AssessedFigure("Joint speed", "rad/s", "Speed"),
-    "acceleration": AssessedFigure("Joint acceleration", "rad/s2", "Acceleration"),
-    "jerk": AssessedFigure("Joint jerk", "rad/s3", "Jerk"),
-    "clearance": AssessedFigure("Distance to the keep-out region", "m", "Clearance", 1e3, "mm"),
+FIGURES: Mapping[str, MetricDefinition] = {
+    "time": MetricDefinition("Total time", "s", "Duration with shapers, without the dwell."),
+    "residual": MetricDefinition(
+        "Residual vibration", "m", "Largest distance from rest.", display=("µm", lambda value: 1e6 * value)
+    ),
+    "torque": MetricDefinition("Peak torque", "N.m", "Largest torque of a motor."),
+    "rms_torque": MetricDefinition("RMS torque", "N.m", "Largest RMS torque of a motor, over motion and standstill."),
+    "power": MetricDefinition("Power of a motor", "W", "Largest power of a motor, into the robot or back."),
+    "supply_power": MetricDefinition("Power of the supply", "W", "Largest power of both motors together."),
+    "regenerated_power": MetricDefinition("Power back", "W", "Largest power out of both motors together."),
+    "energy": MetricDefinition("Energy", "J", "Energy that the motors give, without what they take back."),
+    "off_path": MetricDefinition("Off the path", "m", "Largest distance from the given path."),
+    "speed": MetricDefinition("Joint speed", "rad/s", "Largest speed of a joint reference."),
+    "acceleration": MetricDefinition("Joint acceleration", "rad/s2", "Largest acceleration of a joint reference."),
+    "jerk": MetricDefinition("Joint jerk", "rad/s3", "Largest jerk of a joint reference."),
+    "clearance": MetricDefinition("Distance to the keep-out region", "m", "Smallest distance to the keep-out region."),
 }
-"""The largest figures of an assessment; the time with shapers, without the dwell; the smallest clearance."""
+"""The figures of an assessment."""
+
+
+def heading(figure: str) -> str:
+    """Heading of a column, with the unit."""
+    text = figure.replace("_", " ").replace("rms", "RMS")
+    return f"{text[0].upper()}{text[1:]} [{FIGURES[figure].display_unit}]"
+
+
+def shown(figure: str, value: float) -> str:
+    """A value [SI] as it is shown."""
+    return f"{FIGURES[figure].displayed(value):.4g}"
 
 
 WHOLE: Mapping[str, str] = {"time": "whole motion", **dict.fromkeys(RATES, "references")}
@@ -216,8 +205,8 @@ WHOLE: Mapping[str, str] = {"time": "whole motion", **dict.fromkeys(RATES, "refe
 
 def _worst(figure: str) -> Any:
     """The property of an assessment that is the worst value of a figure."""
-    label = f"{FIGURES[figure].label} [{FIGURES[figure].unit}]."
-    return property(lambda self: self.worst(figure), doc=label)
+    info = FIGURES[figure]
+    return property(lambda self: self.worst(figure), doc=f"{info.description[:-1]} [{info.unit}].")
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,7 +260,7 @@ class Assessment:
     def metrics(self) -> RunMetrics:
         """Its figures with units and labels, the worst within the bands."""
         found = {
-            name: Metric(self.worst(name), each.unit, name=name, label=each.label, description=f"{each.label}.")
+            name: Metric(self.worst(name), each.unit, name=name, label=each.label, description=each.description)
             for name, each in FIGURES.items()
         }
         return RunMetrics(self.candidate.label, lambda companions, names: found)

@@ -289,11 +289,6 @@ class Clearance:
     def _stretches(self, points: RealArray) -> list[Stretch]:
         return [each for region in self.regions for each in region.stretches(points)] if self.thin else []
 
-    def normal(self, points: RealArray) -> RealArray:
-        """Gradients (N, 2) of `distance`."""
-        distance, gradient = self.distances(points)
-        return np.asarray(gradient[distance.argmin(axis=0), np.arange(len(points))])
-
 
 def _cross(one: RealArray, other: RealArray) -> RealArray:
     """Cross products of vectors in a plane, along the last axis."""

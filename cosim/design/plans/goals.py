@@ -41,14 +41,8 @@ USUAL: Mapping[str, Ratio] = dict.fromkeys(("torque", "rms_torque", "power"), Ra
 OF_MOTORS: Mapping[str, float] = dict.fromkeys(("motor_torque", "motor_rms_torque", "motor_speed"), 1.0)
 """Those of a scene with motors."""
 
-MOTION_DRIVEN: Mapping[str, Any] = {
-    "cosimulation.drive": "motion",
-    "controller": [],
-    "imperfection": [],
-    "filter": [],
-    "disturbance": [],
-}
-"""Keys of the scene whose motors follow exactly."""
+LOOP_PARTS = ("controller", "imperfection", "filter", "disturbance")
+"""Lists of the scene that motors which follow exactly don't have."""
 
 RATES = ("speed", "acceleration", "jerk")
 """Limits of the joint references, by the order of the derivative."""
@@ -116,7 +110,6 @@ class Goals:
         scene: the given scene, from a start at rest, with a dwell that shows the residual vibration.
         wishes: its section `plan`.
         limits: by name; ``clearance`` is that of a depth.
-        clearance: where the end effector may go.
         payload: mass that the planned scene has [kg]; None for that of `scene`.
         own: the given motion of the joints where it isn't the scene's.
         pause: time at rest after the motion that RMS torques contain [s]; None for the scene's dwell.
@@ -129,7 +122,6 @@ class Goals:
     scene: Scene
     wishes: PlanSection
     limits: Mapping[str, Limit]
-    clearance: Clearance
     payload: float | None = None
     own: Trajectory | None = None
     pause: float | None = None
@@ -140,8 +132,27 @@ class Goals:
 
     @cached_property
     def trace(self) -> RealArray:
-        """Points of the given motion's way, equally spaced by length, (N, 2) [m]."""
-        return _trace(self.given)
+        """Points of the given motion's way, equally spaced by length, (TRACE, 2) [m]."""
+        motion = self.given.once
+        points = motion.along_path.evaluate(np.linspace(0.0, motion.duration, 20 * TRACE), 0, "left")[0]
+        length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+        even = np.linspace(0.0, length[-1], TRACE)
+        return np.column_stack([np.interp(even, length, points[:, k]) for k in range(2)])
+
+    @cached_property
+    def clearance(self) -> Clearance:
+        """Where the end effector may go: outside of regions that the scene names, or where its own motion goes."""
+        wishes, scene = self.wishes, self.scene
+        if wishes.keep_out is not None:
+            regions = [Polygon.of(each.outline) for each in wishes.keep_out]
+            linked = tuple(region for region, each in zip(regions, wishes.keep_out, strict=True) if each.links)
+            none = np.empty((0, 2))
+            return Clearance(tuple(regions), none, none, True, linked, scene.mechanism)
+        # how far the heaviest payload sags at the ends of the motion, in any direction [m]
+        heavy, motion = Variation(self.band[1], 1 - wishes.stiffness_band).of(scene), self.given.once
+        ends = zip(motion.joints.evaluate([0.0, motion.duration], 0, "left")[0], self.trace[[0, -1]], strict=True)
+        away = [np.hypot(*(static_equilibrium(heavy, joints).position - end)) for joints, end in ends]
+        return clearance_of_trace(self.trace, wishes.corridor, float(max(away)))
 
     @cached_property
     def given(self) -> MotionPlan:
@@ -255,17 +266,16 @@ def _goals_of_motion(scene: Scene) -> Goals:
             raise InputError(
                 f'scene {scene.name} has a torque drive without a controller: add one, or plan with `cosimulation.drive = "motion"`'
             )
-        scene, loop = scene.replace({**MOTION_DRIVEN}), _with_feedforward(scene)
+        loop = _with_feedforward(scene)
+        scene = scene.replace({"cosimulation.drive": "motion", **dict.fromkeys(LOOP_PARTS, ())})
     if wishes.damping_band and not damping_of(scene):
         raise InputError(
             f"`plan.damping_band` = {wishes.damping_band:g}, but scene {scene.name} has no damping that could vary: "
             f"leave the band out, or set `effects.damping`"
         )
     longer, empty = judged_scene(scene, wishes), not scene.payload.mass and payload_band(scene, wishes)[1] > 0.0
-    limits = {
-        name: Limit(name, most, "m", rounding=MET)
-        for name, most in (("residual", wishes.residual), ("clearance", wishes.margin))
-    }
+    limits = {"residual": Limit("residual", wishes.residual, "m", rounding=MET)}
+    limits["clearance"] = Limit("clearance", wishes.margin, "m", rounding=MET)
     for name in PlanLimits.model_fields:
         asked = getattr(wishes.limits, name)
         if name in OF_MOTORS and scene.motor is None and asked is not None:
@@ -279,7 +289,7 @@ def _goals_of_motion(scene: Scene) -> Goals:
             limits[name] = Limit(name, value, unit_of((name,), PlanLimits) or "1", rounding=MET)
     if wishes.duration is not None:
         limits["time"] = Limit("time", wishes.duration, "s", rounding=MET)
-    return Goals(longer, wishes, limits, _clearance(longer, wishes), 0.0 if empty else None, loop=loop)
+    return Goals(longer, wishes, limits, 0.0 if empty else None, loop=loop)
 
 
 def _with_feedforward(scene: Scene) -> Scene:
@@ -310,31 +320,6 @@ def peak_rates(joints: Trajectory, instants: int) -> RealArray:
     """Largest speed, acceleration and jerk of a joint (3,) [rad/s ...], at so many instants."""
     times = np.linspace(0.0, joints.duration, instants)
     return np.asarray(np.abs(joints.evaluate(times, 3, "left")[1:]).max(axis=(1, 2)))
-
-
-def _clearance(scene: Scene, wishes: PlanSection) -> Clearance:
-    """Regions that the scene names, or what its own motion clears."""
-    if wishes.keep_out is not None:
-        regions = [Polygon.of(each.outline) for each in wishes.keep_out]
-        linked = tuple(region for region, each in zip(regions, wishes.keep_out, strict=True) if each.links)
-        none = np.empty((0, 2))
-        return Clearance(tuple(regions), none, none, True, linked, scene.mechanism)
-    motion = plan(scene)
-    trace = _trace(motion)
-    # how far the heaviest payload sags at the ends of the motion, in any direction [m]
-    heavy = Variation(payload_band(scene, wishes)[1], 1 - wishes.stiffness_band).of(scene)
-    joints = motion.once.joints.evaluate([0.0, motion.once.duration], 0, "left")[0]
-    away = [static_equilibrium(heavy, q).position - end for q, end in zip(joints, trace[[0, -1]], strict=True)]
-    return clearance_of_trace(trace, wishes.corridor, max(float(np.hypot(*each)) for each in away))
-
-
-def _trace(motion: MotionPlan) -> RealArray:
-    """Points of the motion's way, equally spaced by length, (TRACE, 2) [m]."""
-    instants = np.linspace(0.0, motion.once.duration, 20 * TRACE)
-    points = motion.once.along_path.evaluate(instants, 0, "left")[0]
-    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-    even = np.linspace(0.0, length[-1], TRACE)
-    return np.column_stack([np.interp(even, length, points[:, k]) for k in range(2)])
 
 
 def checked_goals(scene: Scene) -> Goals:
@@ -406,30 +391,28 @@ def check_holding_torque(goals: Goals, given: Mapping[Variation, Sequence[float]
     robots = [*(goals.variations(2) if given is None else given)]
     model = VariantModel(goals.scene, [each.changes(goals.scene) for each in robots], CompiledAtPoints)
     motion = goals.given.once
-    for name, instant in (("start", 0.0), ("end", motion.duration)):
-        joints = motion.joints.evaluate([instant], 0, "left")[0, 0]
-        for robot, torques in zip(robots, np.abs(model.rest(joints).torque), strict=True):
-            for joint, torque in enumerate(torques.tolist()):
-                if drives is not None and "motor_rms_torque" in goals.limits:
-                    motor = drives.motors[joint]
-                    at_shaft = torque / motor.gear_ratio
-                    if at_shaft > motor.continuous_torque:
-                        raise InputError(
-                            f"`motor.continuous_torque` = {motor.continuous_torque:g} N·m is below {at_shaft:.4g} N·m at the shaft of motor "
-                            f"{joint + 1}, which hold {robot} at the {name} of the motion against gravity: take a stronger motor or gear, or "
-                            f"carry less"
-                        )
-                if limit is None:
-                    continue
-                most, wish = limit.limit, f"{limit.limit:g} N·m"
-                if given is not None and limit.is_relative:
-                    most = limit.limit * given[robot][joint]
-                    wish = f"{limit.limit:g} of the given motion's, {most:.4g} N·m of joint {joint + 1},"
-                if torque > most * (1.0 + MET):
-                    raise InputError(
-                        f"`plan.limits.torque` = {wish} is below {torque:.4g} N·m, which hold {robot} at the {name} of the "
-                        f"motion against gravity: allow more, or carry less"
-                    )
+    ends = motion.joints.evaluate([0.0, motion.duration], 0, "left")[0]
+    torques = np.abs([model.rest(joints).torque for joints in ends])
+    for (end, k, joint), torque in np.ndenumerate(torques):
+        robot = robots[k]
+        holding = f"which hold {robot} at the {('start', 'end')[end]} of the motion against gravity"
+        if drives is not None and "motor_rms_torque" in goals.limits:
+            motor = drives.motors[joint]
+            if (at_shaft := torque / motor.gear_ratio) > motor.continuous_torque:
+                raise InputError(
+                    f"`motor.continuous_torque` = {motor.continuous_torque:g} N·m is below {at_shaft:.4g} N·m at the shaft of motor "
+                    f"{joint + 1}, {holding}: take a stronger motor or gear, or carry less"
+                )
+        if limit is None:
+            continue
+        most, wish = limit.limit, f"{limit.limit:g} N·m"
+        if given is not None and limit.is_relative:
+            most *= given[robot][joint]
+            wish = f"{limit.limit:g} of the given motion's, {most:.4g} N·m of joint {joint + 1},"
+        if torque > most * (1.0 + MET):
+            raise InputError(
+                f"`plan.limits.torque` = {wish} is below {torque:.4g} N·m, {holding}: allow more, or carry less"
+            )
 
 
 def _check_duration(goals: Goals) -> None:
@@ -437,10 +420,8 @@ def _check_duration(goals: Goals) -> None:
     duration = goals.wishes.duration
     if duration is None:
         return
-    motions, pauses = (
-        [each.given.once for each in goals.ways or (goals,)],
-        sum(each.pause or 0.0 for each in goals.ways),
-    )
+    motions = [each.given.once for each in goals.ways or (goals,)]
+    pauses = sum(each.pause or 0.0 for each in goals.ways)
     ends = [each.joints.evaluate([0.0, each.duration], 0, "left")[0] for each in motions]
     turns = np.array([np.abs(last - first).max() for first, last in ends])
     peaks = np.max([peak_rates(each.joints, CHECKED) for each in motions], axis=0)

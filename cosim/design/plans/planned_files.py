@@ -5,23 +5,21 @@ The page has the chosen motion beside the given one, how close it comes to each 
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomlkit
-from pydantic_core import to_json
+import pydantic_core
 
-from flexfmu.cosim.design.plans.assessment import FIGURES, INSTANTS, Assessment
+from flexfmu.cosim.design.plans.assessment import FIGURES, INSTANTS, Assessment, heading, shown
 from flexfmu.cosim.design.plans.clearance import Clearance
 from flexfmu.cosim.design.plans.goals import RATES, Goals
 from flexfmu.cosim.design.plans.planner import PlanResult
-from flexfmu.cosim.design.scene_files import toml_item
+from flexfmu.cosim.design.scene_files import write_new
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.files import OutputFolder, write_whole
+from flexfmu.cosim.engine.files import OutputFolder, to_json
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, Curve, Marker, Panel
@@ -82,12 +80,12 @@ def write_scene(result: PlanResult, path: Path) -> list[Path]:
         ResultsError: a file can't be written.
         TrajectoryError: the motion can't be written.
     """
-    chosen = result.chosen.candidate
+    chosen, paths = result.chosen.candidate, [path]
+    scenes = [(result.scene, chosen.trajectory)]
     if chosen.ways:
-        paths = [path.with_stem(f"{path.stem}-{number}") for number in range(1, len(chosen.ways) + 1)]
-        pairs = zip(chosen.ways, paths, strict=True)
-        return [each for way, there in pairs for each in _write_motion(result, way.scene, way.trajectory, there)]
-    return _write_motion(result, result.scene, chosen.trajectory, path)
+        scenes = [(way.scene, way.trajectory) for way in chosen.ways]
+        paths = [path.with_stem(f"{path.stem}-{number}") for number in range(1, len(scenes) + 1)]
+    return [each for one, there in zip(scenes, paths, strict=True) for each in _write_motion(result, *one, there)]
 
 
 def _write_motion(result: PlanResult, scene: Scene, trajectory: Trajectory | None, path: Path) -> list[Path]:
@@ -107,25 +105,14 @@ def _write_motion(result: PlanResult, scene: Scene, trajectory: Trajectory | Non
         }  # fmt: skip
         data.pop("shaper", None)
         written.append(table)
-    document = tomlkit.document()
-    for line in _comments(result):
-        document.add(tomlkit.comment(line))
-    document.add(tomlkit.nl())
-    for key, value in data.items():
-        document.add(key, toml_item(value))
-    return [write_whole(path, tomlkit.dumps(document)), *written]
-
-
-def _comments(result: PlanResult) -> list[str]:
-    """What the planned scene is, beside the given one."""
-    chosen, given = result.chosen, result.given
-    low, high = result.goals.band
-    return [
+    chosen, given, (low, high) = result.chosen, result.given, result.goals.band
+    comments = (
         f"Planned by `flexfmu plan` for {result.goals.scene.name}: {chosen.candidate.label} ({chosen.candidate.method}).",
         f"Total time {chosen.time:.6g} s (given {given.time:.6g} s), residual vibration at most {1e6 * chosen.residual:.3g} um",
         f"(given {1e6 * given.residual:.3g} um) over payloads of {low:g} to {high:g} kg.",
         result.verdict[0].upper() + result.verdict[1:] + ".",
-    ]
+    )
+    return [write_new(data, path, comments), *written]
 
 
 def write_plan(result: PlanResult, folder: Path) -> list[Path]:
@@ -141,10 +128,8 @@ def write_plan(result: PlanResult, folder: Path) -> list[Path]:
     out = OutputFolder(folder)
     out.prepare()
     written = write_scene(result, folder / FILE)
-    written.append(out.write("front.csv", result.to_csv()))
-    written.append(out.write("plan.json", json.dumps(summary(result), indent=1) + "\n"))
-    written.append(out.write("plan.html", plan_page(result)))
-    return written
+    texts = {"front.csv": result.to_csv(), "plan.json": to_json(summary(result)), "plan.html": plan_page(result)}
+    return written + [out.write(name, text) for name, text in texts.items()]
 
 
 def summary(result: PlanResult) -> dict[str, Any]:
@@ -180,7 +165,7 @@ def summary(result: PlanResult) -> dict[str, Any]:
         ],
         "cpu_time": result.cpu_time,
     }
-    plain: dict[str, Any] = json.loads(to_json(data, inf_nan_mode="null"))
+    plain: dict[str, Any] = pydantic_core.from_json(pydantic_core.to_json(data, inf_nan_mode="null"))
     return plain
 
 
@@ -218,7 +203,7 @@ def summary_table(result: PlanResult) -> Table:
             continue
         one, other = (each.worst(name) for each in (result.given, result.chosen))
         ratio = f"{other / one:.3g}" if one else "-"
-        rows.append([f"{figure.label} [{figure.shown_unit}]", figure.text(one), figure.text(other), ratio])
+        rows.append([f"{figure.label} [{figure.display_unit}]", shown(name, one), shown(name, other), ratio])
     note = f"Worst of all robots within the bands; the motion may enter the keep-out region by {1e3 * result.goals.wishes.margin:g} mm."
     return Table("Planned motion", ["", *NAMES, "ratio"], rows, note)
 
@@ -237,7 +222,7 @@ def motions_table(
     is_brief: bool = False,
 ) -> Table:
     """Motions with figures, and whether they keep to the limits; a brief table has no method, and of what is missed the worst."""
-    header = ["Motion", *([] if is_brief else ["Method"]), *(FIGURES[name].heading for name in figures), "Limits"]
+    header = ["Motion", *([] if is_brief else ["Method"]), *map(heading, figures), "Limits"]
     rows = []
     for each in motions:
         names = [each.candidate.label, *([] if is_brief else [each.candidate.method])]
@@ -247,7 +232,7 @@ def motions_table(
 
 def _shown(found: Assessment, figures: Sequence[str]) -> list[str]:
     """The cells of figures."""
-    return [FIGURES[name].text(found.worst(name)) for name in figures]
+    return [shown(name, found.worst(name)) for name in figures]
 
 
 def ways_table(result: PlanResult) -> list[Table]:
@@ -259,7 +244,7 @@ def ways_table(result: PlanResult) -> list[Table]:
             payloads = dict.fromkeys(f"{mass:.4g}" for mass in (min(masses), max(masses)))
             rows.append([f"{number}, {name}", " to ".join(payloads), *_shown(each, figures)])
     pauses = ", ".join(f"{goals.pause:g} s" for goals in result.goals.ways)
-    header = ["Way", "Payloads [kg]", *(FIGURES[name].heading for name in figures)]
+    header = ["Way", "Payloads [kg]", *map(heading, figures)]
     note = f"Each from rest, the worst of its payloads; pauses after them: {pauses}."
     return [Table("Ways of the cycle", header, rows, note)] if rows else []
 
@@ -322,9 +307,9 @@ def _front_plot(result: PlanResult) -> Plot:
     along, *names = result.axes
     panels, marked = list[Panel](), {result.given: "given", result.chosen: "chosen"}
     for name in names:
-        figure, is_residual, curves = FIGURES[name], name == "residual", list[Curve]()
+        is_residual, curves = name == "residual", list[Curve]()
         # logarithmic for residual vibrations
-        values = {each: figure.factor * each.worst(name) for each in result.table}
+        values = {each: FIGURES[name].displayed(each.worst(name)) for each in result.table}
         places = {each: (each.worst(along), max(y, LEAST) if is_residual else y) for each, y in values.items()}
         for is_kept, group, colour in ((True, "limits kept", PALETTE[0]), (False, "limits missed", PALETTE[1])):
             if motions := [each for each in places if each.feasible == is_kept]:
@@ -338,10 +323,10 @@ def _front_plot(result: PlanResult) -> Plot:
             if each in places
         ]
         scale, level = ("y", 1e6 * result.goals.wishes.residual) if is_residual else ("", None)
-        label = f"{name.replace('_', ' ')}\n[{figure.shown_unit}]"
+        label = heading(name).replace(" [", "\n[")
         panels.append(Panel(label, curves, markers, is_function=False, logarithmic=scale, level=level))
     caption = "The motions of the table. Dashed: the limit of the residual vibration."
-    return Plot("front", "Pareto front", caption, tuple(panels), FIGURES[along].heading, 330.0)
+    return Plot("front", "Pareto front", caption, tuple(panels), heading(along), 330.0)
 
 
 def _path_plot(goals: Goals, runs: Sequence[Run], way: str = "") -> Plot:
@@ -395,6 +380,6 @@ def _references_plot(result: PlanResult, runs: Sequence[Run], way: str = "") -> 
                 curves.append(Curve(instants, values[:, joint], label, colour, dashes=dashes))
         usual = np.array(result.given.worst(name))
         level = float(result.goals.limit(name, usual)) if name in result.goals.limits else None
-        panels.append(Panel(label=f"{name}\n[{FIGURES[name].shown_unit}]", curves=curves, level=level))
+        panels.append(Panel(heading(name).replace(" [", "\n["), curves, level=level))
     caption = "Both joints of both motions. Dashed: the limit, where it is near."
     return Plot(f"planned-references{way[-1:]}", f"Joint references{way}", caption, tuple(panels), height=330.0)

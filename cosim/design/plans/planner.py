@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.assessment import FIGURES, JUDGED, Assessment, Candidate, Judge
+from flexfmu.cosim.design.plans.assessment import FIGURES, JUDGED, Assessment, Candidate, Judge, heading, shown
 from flexfmu.cosim.design.plans.drive_table import DriveTable, drive_table
-from flexfmu.cosim.design.plans.goals import Goals, check_holding_torque, checked_goals, judged_scene
+from flexfmu.cosim.design.plans.goals import LOOP_PARTS, Goals, check_holding_torque, checked_goals, judged_scene
 from flexfmu.cosim.design.plans.optimal import flexible, optimal
 from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.design.plans.sampled_loop import with_learned_torques
@@ -90,10 +90,8 @@ class PlanResult(Rows):
         lines = [f"PlanResult of {self.goals.scene.name}: {self.chosen.candidate.label}"]
         chosen, given = self.chosen.metrics, self.given.metrics
         for name in (*FRONT, "rms_torque", "power"):
-            figure = FIGURES[name]
-            lines.append(
-                f"  {name}: {figure.text(chosen[name])} {figure.shown_unit} (given {figure.text(given[name])})"
-            )
+            unit = FIGURES[name].display_unit
+            lines.append(f"  {name}: {shown(name, chosen[name])} {unit} (given {shown(name, given[name])})")
         return "\n".join([*lines, f"  {self.verdict}"])
 
     @cached_property
@@ -115,8 +113,7 @@ class PlanResult(Rows):
         if loop is not None:
             # the motion, followed by the controllers
             loop = with_learned_torques(loop, self.chosen.candidate.joints, scene.trajectory.dwell)
-            parts = ("cosimulation", "controller", "imperfection", "filter", "disturbance")
-            scene = scene.model_copy(update={key: getattr(loop, key) for key in parts})
+            scene = scene.model_copy(update={key: getattr(loop, key) for key in ("cosimulation", *LOOP_PARTS)})
         return scene if mass is None else scene.replace({"payload.mass": mass})
 
     def drive_table(self, rate: float, unit: str = "rad", counts: float | None = None) -> DriveTable:
@@ -190,15 +187,15 @@ class PlanResult(Rows):
                     for each in motions:
                         x, y, face = (
                             each.worst(along),
-                            figure.factor * each.worst(name),
+                            figure.displayed(each.worst(name)),
                             colour if each.feasible else "none",
                         )
                         axes.plot(x, y, sign, markersize=size, color=colour, markerfacecolor=face, label=label)
                 if max(values) > MANY * min(values) > 0.0:
                     logarithmic(axes)
-                axes.set_title(f"{figure.label} [{figure.shown_unit}]", fontsize=8.5)
+                axes.set_title(f"{figure.label} [{figure.display_unit}]", fontsize=8.5)
             for axes in grid[-2:]:
-                axes.set_xlabel(FIGURES[along].heading)
+                axes.set_xlabel(heading(along))
             drawing.axes[0].legend(fontsize=8)
             drawing.suptitle(f"{self.goals.scene.name}: motions that were tried; hollow: misses a limit", fontsize=10)
         return drawing
