@@ -41,6 +41,9 @@ USUAL: Mapping[str, Ratio] = dict.fromkeys(("torque", "rms_torque", "power"), Ra
 OF_MOTORS: Mapping[str, float] = dict.fromkeys(("motor_torque", "motor_rms_torque", "motor_speed"), 1.0)
 """Those of a scene with motors."""
 
+ONCE: Mapping[str, Any] = {"trajectory.way_back": "none", "trajectory.cycles": 1, "trajectory.pause": 0.0}
+"""Keys of a motion without its way back."""
+
 LOOP_PARTS = ("controller", "imperfection", "filter", "disturbance")
 """Lists of the scene that motors which follow exactly don't have."""
 
@@ -160,6 +163,11 @@ class Goals:
         return plan(self.scene) if self.own is None else plan_own(self.scene, self.own)
 
     @property
+    def rest(self) -> float:
+        """Pauses of a cycle together [s]; 0 for a single motion."""
+        return sum(each.pause or 0.0 for each in self.ways)
+
+    @property
     def drives(self) -> Drives | None:
         """The motors; None if the scene has none."""
         motor = self.scene.motor
@@ -228,8 +236,7 @@ def goals_of(scene: Scene) -> Goals:
             raise InputError(
                 f"`plan.cycle` stays at ({start[0]:g}, {start[1]:g}) m, its place {k + 1}: leave out one of two equal places"
             )
-        changes: dict[str, Any] = {"plan.cycle": None, "payload.mass": payloads[k]}
-        changes |= {"trajectory.way_back": "none", "trajectory.cycles": 1, "trajectory.pause": 0.0}
+        changes: dict[str, Any] = {"plan.cycle": None, "payload.mass": payloads[k], **ONCE}
         if isinstance(goals.wishes.payload_band, tuple) and payloads[k] != scene.payload.mass:
             changes["plan.payload_band"] = 0.0
         if max(np.hypot(*(places[0] - left)), np.hypot(*(places[1] - right))) > SAME_PLACE:
@@ -421,7 +428,6 @@ def _check_duration(goals: Goals) -> None:
     if duration is None:
         return
     motions = [each.given.once for each in goals.ways or (goals,)]
-    pauses = sum(each.pause or 0.0 for each in goals.ways)
     ends = [each.joints.evaluate([0.0, each.duration], 0, "left")[0] for each in motions]
     turns = np.array([np.abs(last - first).max() for first, last in ends])
     peaks = np.max([peak_rates(each.joints, CHECKED) for each in motions], axis=0)
@@ -431,9 +437,9 @@ def _check_duration(goals: Goals) -> None:
         value = float(goals.limits[name].resolved(peaks[k]))
         # the shortest times from rest to rest: at full speed, by full acceleration, by full jerk
         shortest = (turns / value, 2 * (turns / value) ** 0.5, (32 * turns / value) ** (1 / 3))[k]
-        least = float(shortest.sum()) + pauses
+        least = float(shortest.sum()) + goals.rest
         if duration < least:
-            resting = f" and to rest for {pauses:g} s" if pauses else ""
+            resting = f" and to rest for {goals.rest:g} s" if goals.rest else ""
             turn = " and ".join(f"{each:.4g}" for each in turns)
             raise InputError(
                 f"`plan.duration` = {duration:g} s is below {least:.4g} s, which a joint needs to turn by {turn} rad{resting} with "

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, cases_of, needs
-from flexfmu.cosim.design.plans.goals import RATES, Goals, Variation
+from flexfmu.cosim.design.plans.goals import ONCE, RATES, Goals, Variation
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.planning import plan_rigid
@@ -111,26 +111,30 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
     attempt = partial(_attempt, goals, nodes, show, judge.journal)
 
     def made(splines: Sequence[JointSpline]) -> Candidate:
-        time = sum(each.duration for each in splines) + sum(each.pause or 0.0 for each in goals.ways)
+        time = sum(each.duration for each in splines) + goals.rest
         aim = "robust" if goals.wishes.minimise == "time" else goals.wishes.minimise
         return _candidate(goals, f"optimal control, {aim}, {time:.4g} s", splines)
 
-    tried = False
-    if goals.before:
-        # near the best motions, if places and payloads have moved little
-        ways = [replace(way, start=_moved(each, way.start)) for way, each in zip(tight_ways, goals.before, strict=True)]
-        tried = yield from refined(judge, attempt, made, ways, loads, 0.0, ("optimal", "before"), gives_back=False)
-    for share in () if tried else _shares(goals, found[0]):
-        ways = _from_share(tight_ways, share)
-        tried = yield from refined(judge, attempt, made, ways, loads, optimal_control.LOOSE, ("optimal", share), few)
-        if tried:
+    def starts() -> Iterator[tuple[str | float, list[optimal_control.Way], float, NDArray[np.intp] | None]]:
+        # with the first bound of the residual vibration and the first cases
+        if goals.before:
+            # near the best motions, if places and payloads have moved little
+            pairs = zip(tight_ways, goals.before, strict=True)
+            yield "before", [replace(way, start=_moved(each, way.start)) for way, each in pairs], 0.0, None
+        for share in _shares(goals, found[0]):
+            yield share, _from_share(tight_ways, share), optimal_control.LOOSE, few
+        # the best motion of other methods, if there is one
+        others = [each for each in found if each.feasible and each.candidate.method != "given"]
+        if others and not goals.ways:
+            best = min(others, key=lambda each: each.worst(goals.wishes.minimise))
+            yield "other", [replace(tight_ways[0], start=_spline(best.candidate.joints))], 0.0, None
+
+    for key, ways, loose, some in starts():
+        gives_back = key != "before"
+        if (
+            yield from refined(judge, attempt, made, ways, loads, loose, ("optimal", key), some, gives_back=gives_back)
+        ):
             break
-    # from the best motion of other methods, if there is one
-    others = [each for each in found if each.feasible and each.candidate.method != "given"]
-    if others and not tried and not goals.ways:
-        best = min(others, key=lambda each: float(getattr(each, goals.wishes.minimise)))
-        way = replace(tight_ways[0], start=_spline(best.candidate.joints))
-        yield from refined(judge, attempt, made, [way], loads, 0.0, ("optimal", "other"))
     if goals.wishes.front:
         yield from _front(goals, found[0], motions, attempt, judge)
 
@@ -163,11 +167,9 @@ def refined(
     """
     is_first, is_free = gives_back, judge.goals.wishes.duration is None
     for number in range(TRIES):
-        if few is None or number:
-            tried = attempt((*key, number), ways, loads, loose)
-        else:
-            some = {name: each[few] for name, each in loads.items()}
-            tried = attempt((*key, number), [way.of_cases(few) for way in ways], some, loose)
+        some = np.arange(len(ways[0].cases)) if few is None or number else few
+        some_loads = {name: each[some] for name, each in loads.items()}
+        tried = attempt((*key, number), [way.of_cases(some) for way in ways], some_loads, loose)
         if tried is None:
             yield f"{' from '.join(map(str, key))}, try {number + 1}: no motion can be planned"
             return number > (few is not None)
@@ -178,7 +180,7 @@ def refined(
             return number > (few is not None)
         judged = judge.assess(candidate)
         excess, slower = excesses(judged), 1.0
-        if few is not None and number == 0:
+        if some is few:
             # the next programmes have the robots for which this motion was not made; the bound of the vibration falls step by step
             excess, loose = {}, judged.residual if judged.residual > ROUGH * judge.goals.wishes.residual else 0.0
         else:
@@ -230,15 +232,12 @@ def _front(
         excess = {name: 1.0 / factor for name, factor in factors.items()}
         for again in range(2):
             if splines:
-                slower = max(
-                    ((before[name] / each) ** FRONT_TO[name][1] for name, each in factors.items()), default=1.0
-                )
-                slower = 1.0 if again or goals.wishes.duration is not None else max(slower, 0.9)
+                rises = [(before[name] / each) ** FRONT_TO[name][1] for name, each in factors.items()]
+                slower = 1.0 if again or goals.wishes.duration is not None else max(*rises, 0.9)
                 ways, loads = _from_motions(unit_ways, unit_loads, excess, splines, slower)
                 tried = attempt(("front", number, again), ways, loads, 0.0, NEAR_FRONT)
             else:
-                wide = [replace(way, limits=way.limits.tightened(excess)) for way in unit_ways]
-                loads = {name: each / excess.get(name, 1.0) for name, each in unit_loads.items()}
+                wide, loads = _from_motions(unit_ways, unit_loads, excess, [way.start for way in unit_ways], 1.0)
                 tries = (
                     attempt(("front", number, share), _from_share(wide, share), loads, optimal_control.LOOSE)
                     for share in _shares(goals, given)
@@ -268,8 +267,7 @@ def _shares(goals: Goals, given: Assessment) -> tuple[float, ...]:
     """Durations of first motions, relative to those of the given ones."""
     if goals.wishes.duration is None:
         return STARTS
-    pauses = sum(each.pause or 0.0 for each in goals.ways)
-    return ((goals.wishes.duration - pauses) / (given.time - pauses),)
+    return ((goals.wishes.duration - goals.rest) / (given.time - goals.rest),)
 
 
 def _spline(joints: Trajectory) -> JointSpline:
@@ -283,15 +281,11 @@ def _moved(before: Trajectory, given: DesignedMotion) -> JointSpline:
     along = np.clip((np.arange(len(spline.coefficients)) - REST) / (len(spline.coefficients) - 2 * REST - 1), 0.0, 1.0)
     step = (along**3 * (10.0 - 15.0 * along + 6.0 * along**2))[:, np.newaxis]
     # angles of another turn are the same
-    away = [
-        (shift + np.pi) % (2.0 * np.pi) - np.pi
-        for shift in (first - spline.coefficients[0], last - spline.coefficients[-1])
-    ]
-    shift = (1.0 - step) * away[0] + step * away[1]
-    coefficients = spline.coefficients + shift
-    return replace(
-        spline, coefficients=coefficients + np.round((first - coefficients[0]) / (2.0 * np.pi)) * 2.0 * np.pi
-    )
+    shifts = np.stack([first, last]) - spline.coefficients[[0, -1]]
+    shifts = (shifts + np.pi) % (2.0 * np.pi) - np.pi
+    coefficients = spline.coefficients + (1.0 - step) * shifts[0] + step * shifts[1]
+    turns = np.round((first - coefficients[0]) / (2.0 * np.pi))
+    return replace(spline, coefficients=coefficients + 2.0 * np.pi * turns)
 
 
 def _from_share(ways: Sequence[optimal_control.Way], share: float) -> list[optimal_control.Way]:
@@ -335,12 +329,11 @@ def _attempt(
         last: optimal_control.Improvement | None = None
         # recordings of what was judged are in cycles of references
         gc.collect()
-        pauses = sum(each.pause or 0.0 for each in goals.ways)
         # few cases have no others between them
         some = nodes if max(nodes) < len(ways[0].cases) else range(len(ways[0].cases))
         try:
             for last in optimal_control.optimal_motion(ways, loads, some, loose=loose, aim=goals.wishes.minimise):
-                time = pauses + sum(each.duration for each in last.motions)
+                time = goals.rest + sum(each.duration for each in last.motions)
                 show(f"optimal control over the bands: {time:.4g} s", None)
         except EquilibriumError:
             # too fast for the links: a slower start may do
@@ -518,10 +511,8 @@ def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: Sh
             f"scene {goals.scene.name} has a motion from a table, and references for the flexible robot follow a path"
         )
     # the path alone
-    bare: dict[str, Any] = {"shaper": [], "trajectory.references": None}
-    if goals.scene.trajectory.way_back != "none":
-        bare |= {"trajectory.way_back": "none", "trajectory.cycles": 1, "trajectory.pause": 0.0}
-    scene = goals.scene.replace(bare)
+    once = ONCE if goals.scene.trajectory.way_back != "none" else {}
+    scene = goals.scene.replace({"shaper": [], "trajectory.references": None, **once})
     show("references for the flexible robot on the given path", None)
     coefficients, *more, note = judge.journal.kept(("flexible",), Corrected, lambda: _references(goals, scene))
     motors = JointSpline(np.array(coefficients), *more)
