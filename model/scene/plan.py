@@ -222,10 +222,12 @@ class PlanSection(Section):
         axes = self.front
         if axes and (len({*axes}) != len(axes) or not 2 <= len(axes) <= 3):
             raise ValueError(f"`front` is two or three different figures, got {list(axes)}")
-        if axes and (self.minimise == "residual" or self.minimise not in axes):
+        # a given duration has no levels
+        is_timed = "time" in axes and self.minimise != "time"
+        if axes and (self.minimise == "residual" or self.minimise not in axes or is_timed):
             raise ValueError(
-                f'`front` = {list(axes)} needs what is minimised, `minimise = "{self.minimise}"`, among its figures: time, or with a '
-                f"`duration` energy or rms_torque"
+                f'`front` = {list(axes)} needs what is minimised, `minimise = "{self.minimise}"`, among its figures: time, or in its '
+                f"place with a `duration` energy or rms_torque"
             )
         return self
 

@@ -37,6 +37,7 @@ SCENE = load_scene("barnard2012-6kg")
         ({"payload_band": [8.0, 4.0]}, "lightest and the heaviest"),
         ({"payload_band": 1.0}, "must be"),
         ({"residual": -1e-6}, "must be above 0"),
+        ({"minimise": "energy", "duration": 0.4, "front": ["energy", "time"]}, "in its place with a `duration`"),
         ({"limits": {"torque": {"ratio": 0.0}}}, "must be above 0"),
         ({"limits": {"torqe": 1.0}}, "did you mean `torque`"),
         ({"keep_out": [{"kind": "polygon", "points": [[0.0, 0.0], [1.0, 0.0]]}]}, "keep_out"),
