@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
+from math import isfinite
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -743,15 +744,17 @@ def _drive(table: DriveTable) -> dict[str, Any]:
     """What the samples for a drive are and leave, as plain data."""
     use = table.use
     found = {"samples": len(table.torque), "rate": table.rate, "unit": table.unit}
-    return {**found, "residual": use.value, "limit": use.limit, "where": use.where, "met": use.met}
+    residual = use.value if isfinite(use.value) else None
+    return {**found, "residual": residual, "limit": use.limit, "where": use.where, "met": use.met}
 
 
 def _shown_drive(table: DriveTable) -> str:
     """Whether the samples for a drive keep the limit of the residual vibration."""
-    use = table.use
-    remedy = "--rate" if table.unit != "count" else "--rate or --counts"
-    found = f"{1e6 * use.value:.3g} {'of' if use.met else 'instead of'} {1e6 * use.limit:.3g} µm of residual vibration ({use.where})"
-    text = f"The table for the drive, {len(table.torque)} samples at {table.rate:g} Hz in {table.unit}, leaves {found}"
+    use, remedy = table.use, "--rate" if table.unit != "count" else "--rate or --counts"
+    text = f"The table for the drive, {len(table.torque)} samples at {table.rate:g} Hz in {table.unit}"
+    if not isfinite(use.value):
+        return f"{text}: {use.where}; raise {remedy}."
+    text += f", leaves {1e6 * use.value:.3g} {'of' if use.met else 'instead of'} {1e6 * use.limit:.3g} µm of residual vibration ({use.where})"
     return f"{text}." if use.met else f"{text}: raise {remedy}, or plan with less --residual."
 
 

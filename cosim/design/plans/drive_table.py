@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import ceil, pi
+from math import ceil, inf, pi
 
 import numpy as np
 
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.assessment import Candidate, Judge
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.design.plans.goals import MET
+from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import spline
@@ -36,7 +37,7 @@ class DriveTable:
         values: positions, velocities and accelerations (3, N, 2) in the unit and s, whole numbers of counts.
         torque: feedforward of both motors for the scene's own payload (N, 2) [N m].
         use: the residual vibration that the samples leave over the bands, with its limit: the FMU follows quintics through position,
-            velocity and acceleration of each sample.
+            velocity and acceleration of each sample; infinite where the robot can't follow them.
     """
 
     rate: float
@@ -80,7 +81,7 @@ def drive_table(
         counts: encoder counts of one turn of a joint, to which positions, velocities and accelerations are rounded; None for no rounding.
 
     Raises:
-        InputError: a rate or a number of counts out of range, or too low for the robot to follow the samples, or an unknown unit.
+        InputError: a rate or a number of counts out of range, or an unknown unit.
         TrajectoryError, ResultsError: the motion can't be planned or run.
     """
     check_drive(rate, unit, counts)
@@ -104,14 +105,14 @@ def drive_table(
         # the motion of a drive that goes through each sample by quintics
         motion = spline(instants[: moving + 1], values[-1][:, : moving + 1] / per_radian, coordinates="joints")
         parts.append(Candidate(f"{rate:g} samples a second", "csv", goals.scene, motion))
+    use = Limit("residual of the samples", judge.goals.wishes.residual, "m", rounding=MET)
     try:
         found = judge.assess(replace(parts[0], ways=tuple(parts) if judge.goals.ways else ()))
-    except TrajectoryError as error:
-        counted = "" if counts is None else f" of {counts:g} counts a turn"
-        raise InputError(
-            f"the robot can't follow {rate:g} samples a second{counted}: {error}; raise the rate or the counts"
-        ) from error
-    use = replace(found.uses[0], figure="residual of the samples")
+        use = use.used(found.uses[0].value, found.uses[0].where)
+    except (TrajectoryError, ResultsError) as error:
+        if isinstance(error.__cause__, OSError):
+            raise  # a full disk, for example
+        use = use.used(inf, f"the robot can't follow them: {error}")
     unit = unit if counts is None else "count"
     return DriveTable(rate, unit, per_radian, np.concatenate(values, axis=1), np.concatenate(torques), use)
 
