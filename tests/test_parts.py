@@ -159,6 +159,10 @@ def test_connect_and_python_control() -> None:
             r"a delay of 2 s is longer than the run, .* 0.002 for 2 ms",
         ),
         (
+            {"imperfections": [flexfmu.imperfections.delay(time=0.0, longest=2)]},
+            r"a delay of 2 s is longer than the run, .* give its `longest` in s",
+        ),
+        (
             {"disturbances": [flexfmu.disturbances.step(signal="force.x", amplitude=1.0)]},
             "on a robot that torques drive",
         ),

@@ -219,6 +219,8 @@ def _run_scene(
                 from flexfmu.cosim.exchange.live import live_report
 
                 page = live_report(run, summary, rest)
+                for reason in page.live.reasons:
+                    console.show_note(f"report.html can't simulate {reason}")
             else:
                 from flexfmu.cosim.reports.plots import draw_plots
                 from flexfmu.cosim.reports.report import report_page

@@ -46,8 +46,10 @@ from flexfmu.cosim.experiment.run_options import SceneOptions
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import PreparedScene, run_scene
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.segments import control_matrices, quadrature_of
+from flexfmu.cosim.metrics.signals import FIRST_BENDING
 from flexfmu.cosim.reports.page import Figure, Live, Page, with_few_points
 from flexfmu.cosim.reports.plots import draw_plots
 from flexfmu.cosim.reports.report import report_page
@@ -82,6 +84,7 @@ SIGNALS = (
     *(f"joint{i}.reference.{kind}" for i in (1, 2) for kind in ("position", "velocity", "acceleration")),
     *(f"end_effector.{kind}.{axis}" for kind in ("position", "velocity", "acceleration") for axis in "xy"),
     *(f"link{i}1.{what}" for i in (1, 2) for what in ("tip_deflection", "elongation")),
+    f"der({FIRST_BENDING},2)",
 )
 """Signals that the page shows or computes metrics from."""
 
@@ -110,6 +113,7 @@ EXPORTED = (
     "metrics_prepare",
     "metrics_peak",
     "metrics_products",
+    "metrics_parts",
     "metrics_last_above",
     "live_hermite",
     "live_function",
@@ -295,6 +299,8 @@ def _simulated(run: Run, *, is_exact: bool) -> dict[str, Any]:
     """
     if not run.completed:
         raise InputError("the run did not finish")
+    if run.plan.repetition is not None:
+        raise InputError("its motion repeats")
     if run.scene.cosimulation.step_control is not None:
         raise InputError("its communication steps are controlled")
     motion, options = run.plan if _has_object(run) else None, _options(run)
@@ -420,7 +426,7 @@ def _grid(prepared: PreparedScene, *, is_exact: bool) -> dict[str, Any]:
         begins, ends = references.announced[:-1, :ENDS].swapaxes(0, 1), references.ended[1:].swapaxes(0, 1)
         formed = hermite_derivatives(begins, ends, widths[:, None]).swapaxes(0, 1)
         if not references.ends_exactly or not np.array_equal(formed, references.announced[:-1]):
-            raise InputError("its motion repeats or has no limits of order 4")
+            raise InputError("its motion has no four derivatives")
     times, marked, announced, ended, *due = (np.concatenate(each) for each in zip(*parts, strict=True))
     if not marked[0]:
         raise InputError("it begins in the middle of its motion")
@@ -495,6 +501,7 @@ def _facts(
             if isinstance(slave := schedule.slaves[i], BlockSlave)
         ],
         "grid": grid,
+        "metrics": {name: each.how for name, each in ALL_METRICS.items()},
         "task": {"times": _doubles(task.times), "jets": _doubles(task.jets[:, :ENDS])},
         "analysis": {
             str(m): {

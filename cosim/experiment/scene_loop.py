@@ -294,11 +294,12 @@ class _Builder:
 
         Of a cascade it is that of the loop that exchanges the signal; encoders count as velocities.
         """
-        delay = getattr(section, "time", 0.0)
-        if delay >= (end := self._planned.stop_time):
-            raise InputError(
-                f"a {section.kind} of {delay:g} s is longer than the run, {end:g} s: give its `time` in s, 0.002 for 2 ms"
-            )
+        for key in ("time", "longest"):
+            delay = getattr(section, key, None) or 0.0
+            if delay >= (end := self._planned.stop_time):
+                raise InputError(
+                    f"a {section.kind} of {delay:g} s is longer than the run, {end:g} s: give its `{key}` in s, 0.002 for 2 ms"
+                )
         sample_time = _rate(getattr(section, "signal", "velocity"), controllers)
         sample_time = sample_time or self._scene.cosimulation.communication_step
         return self.slave(section, self._planned, sample_time)

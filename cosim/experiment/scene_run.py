@@ -254,7 +254,8 @@ class LivePage:
 
         style = f"width: 100%; height: {PAGE_HEIGHT}px; border: 0"
         return (
-            f'<iframe title="simulation" sandbox="allow-scripts" style="{style}" srcdoc="{escape(self.html)}"></iframe>'
+            f'<iframe title="simulation" sandbox="allow-scripts" allow="clipboard-write" style="{style}" '
+            f'srcdoc="{escape(self.html)}"></iframe>'
         )
 
 

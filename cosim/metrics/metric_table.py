@@ -16,9 +16,6 @@ from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.experiment.metric import Metric, printed
 from flexfmu.cosim.metrics.signals import ACCELERATION, FIRST_BENDING, JOINT_POSITIONS, POSITION, VELOCITY
 
-Computation = Callable[[Any], Metric]
-"""Solution of a motion → value of a metric."""
-
 
 @dataclass(frozen=True)
 class MetricDefinition:
@@ -28,7 +25,8 @@ class MetricDefinition:
         label: short name for tables.
         unit: SI unit of the value, as in files.
         description: one sentence.
-        computation: its value from the signals of a motion.
+        how: method of the solution and its arguments, joint or leg, and the reduction of the signal that it returns with arguments;
+            without a reduction it returns the value.
         columns: recorded signals that it is computed from, whose magnitude bounds its rounding error.
         display: unit in tables and function from the SI unit to it; None for what the unit has in all tables.
     """
@@ -36,9 +34,18 @@ class MetricDefinition:
     label: str
     unit: str
     description: str
-    computation: Computation = lambda solution: Metric(None)
+    how: tuple[str, tuple[int, ...], tuple[Any, ...]] = ("", (), ())
     columns: tuple[str, ...] = POSITION
     display: tuple[str, Callable[[float], float]] | None = None
+
+    def computation(self, solution: Any) -> Metric:
+        """Its value from the signals of a motion; none without the signal, or of a solution without a method for it."""
+        method, of, reduction = self.how
+        found = getattr(solution, method)(*of) if hasattr(solution, method) else None
+        if found is None:
+            return Metric(None)
+        value: Metric = methodcaller(*reduction)(found) if reduction else found
+        return value
 
     @property
     def display_unit(self) -> str:
@@ -82,26 +89,9 @@ def _defined(rows: Iterable[Row], joints: Iterable[int] = (1, 2)) -> dict[str, M
     for name, label, unit, text, how, columns in rows:
         for joint in joints if "#" in name else (0,):
             own, words, sentence, *signals = (each.replace("#", str(joint)) for each in (name, label, text, *columns))
-            computation = _computation(how, (joint,) if joint else ())
-            found[own] = MetricDefinition(words, unit, sentence, computation, tuple(signals))
+            computed = how[0], (joint,) if joint else (), how[1:]
+            found[own] = MetricDefinition(words, unit, sentence, computed, tuple(signals))
     return found
-
-
-def _computation(how: tuple[Any, ...], of: tuple[int, ...]) -> Computation:
-    """Return the computation by a method of the solution, ``(method,)``, or by one of its signal, ``(method, reduction, arguments)``.
-
-    There is no value without the signal; a solution doesn't have signals for which it has no method.
-    """
-    method, *reduction = how
-
-    def computed(solution: Any) -> Metric:
-        found = getattr(solution, method)(*of) if hasattr(solution, method) else None
-        if found is None:
-            return Metric(None)
-        value: Metric = methodcaller(*reduction)(found) if reduction else found
-        return value
-
-    return computed
 
 
 _IN_MOTION = "over the motion, both sides of every jump and t = 0+ included"

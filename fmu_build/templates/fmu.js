@@ -10,9 +10,11 @@ export class Fmu {
     exports._initialize?.();
   }
 
-  /** Compiles a module: bytes, or a Response as fetch gives it. */
+  /** Compiles a module: bytes, or a Response, also awaited here, as fetch gives it. */
   static async load(source, model) {
-    const bytes = source instanceof Response ? await source.arrayBuffer() : source;
+    const given = await source;
+    if (given instanceof Response && !given.ok) throw new Error(`the module can't be fetched: ${given.url} gives status ${given.status}`);
+    const bytes = given instanceof Response ? await given.arrayBuffer() : given;
     return new Fmu((await WebAssembly.instantiate(bytes)).instance.exports, model);
   }
 
@@ -50,6 +52,7 @@ export class Instance {
   }
 
   call(name, ...values) {
+    if (!this.component) throw new Error(`fmi2${name}: this instance was freed`);
     const status = this.fmu.exports[`fmi2${name}`](this.component, ...values);
     if (status > 1) throw new Error(`fmi2${name}: ${this.fmu.message || `status ${status}`}`);
   }

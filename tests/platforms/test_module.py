@@ -39,7 +39,11 @@ fed.forEach((rows, n) => {
 let refused = "";
 try { run.set({ nothing: 1 }); } catch (error) { refused = error.message; }
 run.free();
-console.log(JSON.stringify([Buffer.from(all.buffer).toString("base64"), refused]));
+let freed = "";
+try { run.step(0, 1e-3); } catch (error) { freed = error.message; }
+// a response that is awaited inside
+const again = await load(Promise.resolve(new Response((await import("node:fs")).readFileSync(process.argv[4]))));
+console.log(JSON.stringify([Buffer.from(all.buffer).toString("base64"), refused, freed, again.model.guid]));
 """
 
 
@@ -88,11 +92,15 @@ def test_node_gives_the_native_bits(name: str, node: str, tmp_path: Path) -> Non
     script = tmp_path / "run.mjs"
     script.write_text(SCRIPT)
     asked = json.dumps({**names, "fed": fed.tolist(), "step": STEP})
-    done = subprocess.run([node, script, folder / "index.js", asked], capture_output=True, text=True, check=False)
+    (module,) = folder.glob("*.wasm")
+    command = [node, script, folder / "index.js", asked, module]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    content, refused = json.loads(done.stdout)
+    content, refused, freed, again = json.loads(done.stdout)
     assert np.frombuffer(b64decode(content)).tobytes() == found.tobytes()
     assert refused == "there is no variable 'nothing'"
+    assert freed == "fmi2DoStep: this instance was freed"
+    assert again
     # what npm needs
     manifest = json.loads((folder / "package.json").read_text())
     assert all((folder / each).is_file() for each in [*manifest["files"], manifest["main"], manifest["types"]])

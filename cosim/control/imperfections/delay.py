@@ -168,7 +168,8 @@ def _tunable(time: float, longest: float, channels: Channels) -> SymbolicBlock:
         whole = casadi.floor(samples)
 
         def past(place: Vector) -> Vector:
-            return sum(casadi.if_else(place == i, each, 0.0) for i, each in enumerate(casadi.vertsplit(signal, n)))
+            columns: Vector = casadi.reshape(signal, n, depth + 1)
+            return columns[:, place]
 
         newer, older = past(whole), past(whole + 1.0)
         between = older + (1.0 - (samples - whole)) * (newer - older)
@@ -181,5 +182,5 @@ def _tunable(time: float, longest: float, channels: Channels) -> SymbolicBlock:
         [*channels.starts, parameter],
         memory=n * depth,
         latency=time,
-        symbol=casadi.MX if n * depth >= VECTORISED_FROM else casadi.SX,
+        symbol=casadi.MX,
     )

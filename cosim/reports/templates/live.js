@@ -269,7 +269,7 @@
       const [name, value] = part.split("="), slider = all.find((each) => each.name === name);
       if (name === "shaper" && simulations[+value] && page.choose) { page.choose(+value); return false; }
       if (!slider || slider.input.disabled || !isFinite(value) || !(slider === accuracy || value / slider.value > 0)) return part;
-      const [low, high] = [slider.low, slider.high].sort((a, b) => a - b), within = Math.min(Math.max(+value, low), high);
+      const [low, high] = [slider.low, slider.high].sort((a, b) => a - b), within = +Math.min(Math.max(+value, low), high).toPrecision(7);
       set(slider, within);
       return within !== +value;
     });

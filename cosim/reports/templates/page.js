@@ -185,7 +185,10 @@ const page = (() => {
         for (const axis of ["x", "y"]) this.plot.setScale(axis, { min: this.shown[axis][0], max: this.shown[axis][1] });
         this.plot.redraw(false, true);
       });
+      if (this.chart.place !== undefined) this.mark(this.chart.place);
     }
+    // a line through the panel at x
+    mark(x) { this.plot.setCursor({ left: this.plot.valToPos(x, "x"), top: -10 }, false); }
   }
 
   class Chart {
@@ -252,7 +255,7 @@ const page = (() => {
       const said = (c) => (c.x.length ? `${short(c.y[nearest(c.x, x)], 5)} ${c.unit}`.trim() : "–");
       for (const { curves, value } of this.keys) value.textContent = curves.map(said).join(", ");
       this.say(`${this.x.replace(/ \[.*/, "")} ${short(x, 4)} ${unitOf(this.x)}${this.keys.length ? "" : ` · ${said(this.panels[0].curves[0])}`}`);
-      for (const { plot } of this.panels) plot.setCursor({ left: plot.valToPos(x, "x"), top: -10 }, false);
+      for (const panel of this.panels) panel.mark(x);
     }
     pressed(event) {
       const panel = this.panels[0], { x } = panel.shown, span = x[1] - x[0], middle = this.place ?? (x[0] + x[1]) / 2;

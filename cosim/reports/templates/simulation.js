@@ -20,6 +20,7 @@ const unpacked = async (text) => {
   return JSON.parse(new TextDecoder().decode(bytes.subarray(0, end)), (key, value) => (value?.size === undefined || value.at === undefined ? value : content.subarray(value.at, value.at + value.size)));
 };
 const POSITION = ["end_effector.position.x", "end_effector.position.y"], ENDS = 5, ORDERS = 10, FACTORIALS = Array.from({ length: ORDERS }, (_, k) => { let f = 1; while (k > 1) f *= k--; return f; });
+const FIRST_BENDING = "link11.bending[1]", accelerationOf = (name) => (name.includes("position") ? name.replace("position", "acceleration") : `der(${name},2)`);
 
 // a value as TOML has it in one line; text for a shell; a dotted key's places
 const toml = (value) => {
@@ -332,7 +333,7 @@ class Result {
     return POSITION.map((name) => this.signal(name, order));
   }
   rigids(order) {
-    return (this.known ??= {})[order] ??= [0, 1].map((k) => Float64Array.from({ length: this.size }, (_, i) => this.rigid[i * 2 * ENDS + 2 * order + k]));
+    return (this.known ??= {})[order] ??= [0, 1].map((k) => Float64Array.from({ length: this.size }, (_, i) => this.planned("task")[i * 2 * ENDS + 2 * order + k]));
   }
   index(time, isAfter = false) {
     let n = 0;
@@ -388,24 +389,24 @@ class Result {
   segments(names, orders, from, to, offset) {
     const { places, duration, start } = this.chosen(from, to), n = places.length, c = names.length, left = new Float64Array(orders * n * c), right = new Float64Array(orders * n * c);
     for (let k = 0; k < orders; k++) for (let channel = 0; channel < c; channel++) {
-      const name = names[channel], values = k < 3 ? this.signal(name, k) : this.signal(name.replace("position", "acceleration"), k - 2);
+      const name = names[channel], values = k < 3 ? this.signal(name, k) : this.signal(accelerationOf(name), k - 2);
       for (let s = 0, at = k * n * c + channel; s < n; s++, at += c) { const i = places[s]; left[at] = values[i]; right[at] = values[i + 1]; }
       if (offset) for (let s = 0, at = k * n * c + channel; s < n; s++, at += c) { const i = places[s]; left[at] -= offset(i, k, channel); right[at] -= offset(i + 1, k, channel); }
     }
     return { n, c, orders, left, right, duration, start };
   }
-  // the rigid robot's end effector at all instants, [instant][order][axis]; the first of two equal instants is the left limit
-  get rigid() {
-    const { simulation, stretch, duration, time, size, grid } = this, { task } = simulation, row = 2 * ENDS;
-    if (grid.rigid?.size === size) return grid.rigid.all;
-    const all = new Float64Array(size * row), last = task.times[task.times.length - 1], near = 1e-9 * duration;
+  // a planned motion at all instants, [instant][order][variable]; the first of two equal instants is the left limit
+  planned(name) {
+    const { simulation, stretch, duration, time, size, grid } = this, table = simulation[name], variables = table.begins.length / table.times.length / ENDS, row = variables * ENDS;
+    const key = `planned ${name} ${size}`;
+    if (grid[key]) return grid[key];
+    const all = new Float64Array(size * row), last = table.times[table.times.length - 1], near = 1e-9 * duration;
     for (let i = 0; i < size; i++) {
       const isLeft = i + 1 < size && time[i] === time[i + 1], isIn = time[i] < duration - near || (isLeft && time[i] <= duration + near);
-      simulation.evaluate(task, isIn ? Math.min(time[i] / stretch, last) : last + 1, isLeft, all, i * row);
-      if (stretch !== 1) for (let k = 0; k < row; k++) all[i * row + k] *= stretch ** -(k >> 1);
+      simulation.evaluate(table, isIn ? Math.min(time[i] / stretch, last) : last + 1, isLeft, all, i * row);
+      if (stretch !== 1) for (let k = 0; k < row; k++) all[i * row + k] *= stretch ** -Math.floor(k / variables);
     }
-    grid.rigid = { size, all };
-    return all;
+    return (grid[key] = all);
   }
   /** Whether the loop is unstable: the joints' velocities are far off, or their errors grow or stay in the dwell (run_checks.py). */
   get isUnstable() {
@@ -422,59 +423,82 @@ class Result {
     const [first, middle, last] = thirds;
     return largest > (this.failure ? beforeFailure : beyond) || (last > atRest && last >= growth * first && last >= middle && middle >= first) || (last > onTheMove && last >= lasting * first);
   }
-  analysed({ n, c, orders, left, right, duration }) {
-    const { simulation } = this, { control, highest, quadratures } = simulation.analysis[orders];
-    const area = (name, size) => simulation.area(`metrics ${name}`, size), put = (values, name) => simulation.put(values, `metrics ${name}`);
-    const numbers = [put(duration, "duration"), put(left, "left"), put(right, "right"), control, highest, area("terms", 16 * orders * n * c)];
-    const signal = area("signal", 64), result = area("result", 64);
-    const later = ["ends", "bounds", "errors"].map((name) => area(name, 8 * n));
-    const words = [n, c, orders, n * c, n * c, ...numbers, ...later, area("jumps", 8 * c * (n + 1)), area("kept", 4 * n)];
+  // the C of the metrics, ready for segments
+  analysed(segments) {
+    const { simulation } = this, { n, c, orders, left, right, duration } = segments, { control, highest } = simulation.analysis[orders];
+    const area = (name, size) => simulation.area(`metrics ${name}`, size), put = (values, name) => simulation.put(values, `metrics ${name}`), signal = area("signal", 64);
+    if (simulation.analysed === segments) return signal;
+    const arrays = [put(duration, "duration"), put(left, "left"), put(right, "right"), control, highest, area("terms", 16 * orders * n * c)];
+    const words = [n, c, orders, n * c, n * c, ...arrays, ...["ends", "bounds", "errors"].map((name) => area(name, 8 * n)), area("jumps", 8 * c * (n + 1)), area("kept", 4 * n)];
     simulation.view(Uint32Array, signal, 16).set(words);
     simulation.exports.metrics_prepare(signal);
-    const total = duration.reduce((sum, each) => sum + each, 0);
+    simulation.analysed = segments;
+    return signal;
+  }
+  // what the reductions of `RecordedSignal` and `RecordedPower` (metrics.py) give of segments
+  reduced(segments, how, argument = 0) {
+    const { simulation } = this, { exports } = simulation, signal = this.analysed(segments), result = simulation.area("metrics result", 64), values = () => simulation.view(Float64Array, result, 7).slice();
+    const total = segments.duration.reduce((sum, each) => sum + each, 0);
+    if (segments.isPower) {
+      if (!segments.parts) { exports.metrics_parts(signal, result); segments.parts = values(); }
+      const [most, least, positive, negative] = segments.parts, all = { peak: [least, 0, most], energy: [negative, positive - negative, positive], mean: [0, (positive - negative) / total] };
+      return all[how][argument + 1];
+    }
+    if (how === "peak") { exports.metrics_peak(signal, result); return values()[0]; }
+    if (how === "root_mean_square") {
+      const { points, tables } = simulation.analysis[segments.orders].quadratures[argument], quadrature = simulation.area("metrics quadrature", 24);
+      simulation.view(Uint32Array, quadrature, 6).set([points, argument, ...tables]);
+      exports.metrics_products(signal, quadrature, result);
+      return Math.sqrt(values()[0] / total);
+    }
+    // settling time
+    const segment = simulation.area("metrics segment", 4), theta = simulation.area("metrics theta", 8), { start, duration, n } = segments;
+    if (!exports.metrics_last_above(signal, argument, segment, theta)) return 0;
+    const last = simulation.view(Uint32Array, segment, 1)[0], at = start[last] + simulation.view(Float64Array, theta, 1)[0] * duration[last];
+    return at < start[n - 1] + duration[n - 1] ? at - start[0] : null;
+  }
+  // segments of a signal by the names that `RecordedSolution` (metrics.py) has; null without a dwell, 0 for a rigid link, and undefined
+  // for a signal that the page doesn't know
+  signalSegments(method, joint) {
+    const { duration } = this, motion = [0, duration], cycle = [-1, Infinity], over = (name, m, range, ...offset) => (this.signal(name) ? this.segments([name], m, ...range, ...offset) : undefined);
+    const speed = `joint${joint}.${this.signal(`joint${joint}.velocity`) ? "" : "reference."}velocity`, { axes } = this.simulation;
+    const rigid = (range) => { const all = this.planned("task"); return this.segments(POSITION, 5, ...range, (i, k, channel) => all[2 * (i * ENDS + k) + channel]); };
+    const tracking = (range) => { const all = this.planned("joints"); return over(`joint${joint}.position`, 5, range, (i, k) => all[(i * ENDS + k) * 3 * axes + joint - 1]); };
     return {
-      peak: () => (simulation.exports.metrics_peak(signal, result), simulation.view(Float64Array, result, 1)[0]),
-      rms: (order) => {
-        const { points, tables } = quadratures[order], quadrature = area("quadrature", 24);
-        simulation.view(Uint32Array, quadrature, 6).set([points, order, ...tables]);
-        simulation.exports.metrics_products(signal, quadrature, result);
-        return Math.sqrt(simulation.view(Float64Array, result, 1)[0] / total);
+      torque: () => over(`joint${joint}.torque`, 3, motion),
+      tip_deflection: () => over(`link${joint}1.tip_deflection`, 3, motion) ?? 0,
+      modal_deflection: () => over(FIRST_BENDING, this.signal(accelerationOf(FIRST_BENDING)) ? 5 : 3, motion) ?? 0,
+      path_error: () => rigid([0, Infinity]),
+      path_error_in_motion: () => rigid(motion),
+      residual_vibration: () => { const found = this.segments(POSITION, 5, duration, Infinity, (i, k, channel) => (k ? 0 : this.rest[channel])); return found.n ? found : null; },
+      tracking_error: () => tracking([0, Infinity]),
+      tracking_error_in_motion: () => tracking(motion),
+      duty_torque: () => over(`joint${joint}.torque`, 3, cycle),
+      duty_speed: () => over(speed, 3, cycle),
+      duty_power: () => {
+        const [one, other] = [this.part("duty_torque", joint), this.part("duty_speed", joint)], { n } = one ?? {};
+        // by Leibniz' rule
+        const product = (u, v) => Float64Array.from(u, (_, i) => (i < n ? u[i] * v[i] : i < 2 * n ? u[i] * v[i - n] + u[i - n] * v[i] : u[i] * v[i - 2 * n] + 2 * u[i - n] * v[i - n] + u[i - 2 * n] * v[i]));
+        return one && other && { ...one, isPower: true, left: product(one.left, other.left), right: product(one.right, other.right) };
       },
-      lastAbove: (level) => {
-        const segment = area("segment", 4), theta = area("theta", 8);
-        if (!simulation.exports.metrics_last_above(signal, level, segment, theta)) return null;
-        return [simulation.view(Uint32Array, segment, 1)[0], simulation.view(Float64Array, theta, 1)[0]];
-      },
-    };
+    }[method]?.();
+  }
+  part(method, joint) {
+    const parts = (this.parts ??= {}), key = `${method} ${joint}`;
+    return key in parts ? parts[key] : (parts[key] = this.signalSegments(method, joint));
   }
   /** The metrics by name, as `summary.json` has them. */
   get metrics() {
     return (this.measured ??= this.measure());
   }
-  /** Those of the metrics that are among some names; all without names. */
+  /** Those of the metrics that are among some names; all that the page knows without names. */
   measure(names) {
-    const { duration, rest, size } = this, { band } = this.simulation.facts, found = {};
-    const { rigid } = this, off = (i, k, channel) => rigid[2 * (i * ENDS + k) + channel];
-    const over = (name, m, from = 0, to = duration) => this.analysed(this.segments([name], m, from, to));
-    const wanted = (name) => !names || names.has(name);
-    for (const j of [1, 2]) if (wanted(`peak_torque_${j}`)) found[`peak_torque_${j}`] = over(`joint${j}.torque`, 3).peak();
-    for (const j of [1, 2]) if (wanted(`peak_tip_deflection_${j}`) && this.signal(`link${j}1.tip_deflection`)) found[`peak_tip_deflection_${j}`] = over(`link${j}1.tip_deflection`, 3).peak();
-    for (const j of [1, 2]) if (wanted(`rms_tracking_error_${j}`) && this.signal(`joint${j}.position`) && this.signal(`joint${j}.reference.position`)) {
-      const [time, error] = this.curve({ of: `joint${j}.error` });
-      let sum = 0;
-      for (let i = 1; i < size && time[i] <= duration + 1e-9; i++) sum += 0.5 * (time[i] - time[i - 1]) * (error[i] ** 2 + error[i - 1] ** 2);
-      found[`rms_tracking_error_${j}`] = Math.sqrt(sum / duration);
-    }
-    found.peak_position_error = this.analysed(this.segments(POSITION, 5, 0, Infinity, off)).peak();
-    const motion = this.segments(POSITION, 5, 0, duration, off), s = motion.n - 1;
-    found.rms_acceleration_error = this.analysed(motion).rms(2);
-    found.end_position_error = Math.hypot(motion.right[2 * s], motion.right[2 * s + 1]);
-    const dwell = this.segments(POSITION, 5, duration, Infinity, (i, k, channel) => (k ? 0 : rest[channel]));
-    if (dwell.n) {
-      const vibration = this.analysed(dwell);
-      found.residual_vibration_amplitude = vibration.peak();
-      const last = vibration.lastAbove(band), at = last && dwell.start[last[0]] + last[1] * dwell.duration[last[0]];
-      found.settling_time = last ? (at < this.time[size - 1] ? at - dwell.start[0] : null) : 0;
+    const { metrics, band } = this.simulation.facts, found = {};
+    for (const [name, [method, [joint], how]] of Object.entries(metrics)) {
+      if (names && !names.has(name)) continue;
+      const [reduction, argument] = method === "settling_time" ? ["settling", band] : how, s = this.part(method === "settling_time" ? "residual_vibration" : method, joint);
+      if (reduction === "final" && s) { const at = s.right.length - (s.orders - argument) * s.n * s.c + (s.n - 1) * s.c; found[name] = Math.hypot(...s.right.subarray(at, at + s.c)); }
+      else if (s !== undefined) found[name] = s ? this.reduced(s, reduction, argument) : s;
     }
     return found;
   }
