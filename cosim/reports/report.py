@@ -151,13 +151,15 @@ def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> Iterator[str]
             metrics["residual_vibration_rms"],
         )
         swings = 1e-6 * max((np.max(each.y, initial=0.0) for each in panel.curves), default=0.0) if panel else residual
+        ringing = ""
         if rms is not None and rms > OFFSET * residual and swings < (1.0 - OFFSET) * residual:
-            yield Figure.said(", mostly an offset that stays")
+            ringing = ", mostly an offset that stays"
         elif panel is not None and panel.markers and residual > 0.0:
             peak = panel.markers[0]
             near = min(panel.marks, key=lambda mark: abs(mark[0] - peak.x), default=None)
             mode = f", natural frequency {near[1]}" if near is not None and abs(near[0] - peak.x) < 0.1 * peak.x else ""
-            yield Figure.said(f", mostly at {peak.text}{mode}")
+            ringing = f", mostly at {peak.text}{mode}"
+        yield Figure.said(ringing, "ringing", offset=OFFSET)
         yield "; it"
     else:
         yield "The robot"

@@ -106,6 +106,9 @@
   const cells = [...document.querySelectorAll("[data-metric]")].map((cell) => ({ cell, name: cell.dataset.metric, text: cell.textContent, ...JSON.parse(cell.dataset.shown) }));
   const metricCurves = charts.flatMap((chart) => chart.panels.flatMap(({ curves }) => curves.map((each) => each.source?.metric))).filter(Boolean);
   const shown = new Set([...cells.filter((each) => each.factor).map((each) => each.name), ...metricCurves]), verdict = document.querySelector(".verdict"), sentences = [...verdict.childNodes];
+  shown.add("residual_vibration_amplitude").add("residual_vibration_rms");
+  // relative errors of the metrics as far as they are known
+  let errors = {};
   const magnification = () => charts.flatMap((chart) => chart.panels).find((each) => each.motion)?.motion.magnification;
   let referenced = "";
   const sliderOf = (key) => sliders.find((each) => [each.written, each.key].includes(key));
@@ -136,9 +139,7 @@
           if (each.marks.length && chart.overTime && !isCompared) each.marks[0] = [one.duration, each.marks[0][1]];
           if (each.recorded) {
             // its highest peak if that is resolved, and no natural frequencies of another robot
-            const peak = { y: 0 };
-            for (const { x, y } of each.curves) y.forEach((height, i) => { if (height > peak.y) Object.assign(peak, { x: x[i], y: height }); });
-            const isResolved = peak.x * (one.time[one.size - 1] - one.duration) >= 2, named = { colour: "var(--ink)", offset: [5, -4], ...peak, text: `${short(peak.x, 3)} Hz` };
+            const { frequency, height, isResolved } = one.peak(each.curves.map(({ x, y }) => [x, y])), named = { colour: "var(--ink)", offset: [5, -4], x: frequency, y: height, text: `${short(frequency, 4)} Hz` };
             each.markers = isUsual ? each.recorded.markers : isResolved ? [named] : [];
             each.marks = isMoved ? [] : each.recorded.marks;
           }
@@ -155,18 +156,22 @@
     const metrics = new Map([...results].map(([place, r]) => [place, measured(r)])), zero = metrics.get(0);
     const stateOf = (r) => (r.failure ? 2 : r.isUnstable ? 1 : null), isGood = (place) => results.has(place) && stateOf(results.get(place)) === null;
     // a figure in words; undefined if the page doesn't compute it
-    const worded = ({ name, text, run, factor, unit, limit, digits, compared, phrases, stays, isError, of, names, failed }) => {
+    const worded = ({ name, text, run, factor, unit, limit, digits, compared, phrases, stays, isError, of, names, failed, offset }) => {
       if (name === "state") { const now = stateOf(results.get(run)); return now === null && stays && text ? undefined : ["", "Unstable. ", "Failed. "][now ?? 0]; }
       if (name === "failures") { const bad = names.filter((_, place) => (results.has(place) ? !isGood(place) : failed.includes(place))); return bad.length ? `Unstable or failed: ${bad.join(", ")}. ` : ""; }
       if (name === "least") {
         const known = names.map((each, place) => [metrics.get(place)?.[of], each]).filter(([value], place) => isGood(place) && value !== null && value !== undefined).sort((a, b) => a[0] - b[0]);
         return known.length > 1 ? `${known[0][1]} ${phrases}, ${short(known[0][0] * factor, 3)} ${unit}. ` : "";
       }
+      if (name === "ringing") {
+        const { residual_vibration_amplitude: most, residual_vibration_rms: rms } = metrics.get(run) ?? {}, r = results.get(run), peak = most > 0 && r.peak([0, 1].map((axis) => r.spectrum(axis)));
+        return !peak ? "" : rms > offset * most && peak.height < (1 - offset) * most ? ", mostly an offset that stays" : peak.isResolved ? `, mostly at ${short(peak.frequency, 4)} Hz` : "";
+      }
       const value = metrics.get(run)?.[name], base = zero?.[name];
       if (value === undefined) return undefined;
       if (isError) return "";
       const difference = compared && value && base ? ` (${value < base ? "" : "+"}${short(100 * (value / base - 1), 3)} %)` : "";
-      return value === null ? phrases[0] : phrases[value <= (limit ?? 0) ? 1 : 2].replace("{}", `${short(value * factor, digits)} ${unit}`.trim() + difference);
+      return value === null ? phrases[0] : phrases[value <= (limit ?? 0) ? 1 : 2].replace("{}", `${short(value * factor, Math.min(digits, errors[name] ? Math.max(-Math.floor(Math.log10(errors[name])), 1) : digits))} ${unit}`.trim() + difference);
     };
     let recorded = !isUsual && others.length > 0;
     for (const each of cells) {
@@ -192,12 +197,14 @@
   const companion = (simulation, r) => {
     const given = simulation.options(valuesOf(simulation)), metrics = r.measure(shown);
     const finer = simulation.run({ ...given, step: (given.step ?? facts.step) / 2, tolerance: Math.max((given.tolerance ?? facts.tolerance) / 100, 1e-12) }).measure(shown);
-    const errors = Object.keys(metrics).map((name) => (metrics[name] > 1e-9 && finer[name] ? Math.abs(finer[name] / metrics[name] - 1) : 0));
-    status.textContent = `${status.dataset.time}, metrics within ${short(Math.max(...errors, 1e-12), 2)} of a run with half the step and a hundredth of the tolerance`;
+    errors = Object.fromEntries(Object.keys(metrics).map((name) => [name, metrics[name] > 1e-9 && finer[name] ? Math.abs(finer[name] / metrics[name] - 1) : 0]));
+    show(new Map([[r.simulation.facts.place, r]]), false);
+    status.textContent = `${status.dataset.time}, metrics within ${short(Math.max(...Object.values(errors), 1e-12), 2)} of a run with half the step and a hundredth of the tolerance`;
   };
   const timed = (results, isUsual) => `simulated in ${short(results.reduce((sum, each) => sum + each.elapsed, 0), 3)} ms${isUsual && facts.grid.times ? ", with all bits of the recording" : ""}`;
   const update = () => {
     pending = 0;
+    errors = {};
     const began = performance.now(), isUsual = state.size === 0 && chosen === 0;
     try {
       const results = new Map(active().map((each) => [each.facts.place, state.size ? simulated(each) : usual(each)])), [r] = results.values();

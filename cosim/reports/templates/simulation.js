@@ -374,6 +374,13 @@ class Result {
     const shown = Math.min(size / 2, Math.ceil(most * size * step));
     return [Float64Array.from({ length: shown }, (_, i) => i / (size * step)), Float64Array.from({ length: shown }, (_, i) => (2 * Math.hypot(re[i], im[i])) / total)];
   }
+  /** The highest peak of spectra, from a parabola through the logarithms of three neighbours; resolved with two periods in the dwell. */
+  peak(spectra) {
+    const all = spectra.map(([x, y]) => ({ x, y, i: y.reduce((best, v, i) => (v > y[best] ? i : best), 0) })), { x, y, i } = all.reduce((one, other) => ((other.y[other.i] ?? 0) > (one.y[one.i] ?? 0) ? other : one));
+    const inner = y[i - 1] > 0 && y[i + 1] > 0, [left, top, right] = [-1, 0, 1].map((k) => Math.log(y[i + k])), shift = inner ? (0.5 * (left - right)) / (left - 2 * top + right) : 0;
+    const frequency = x[i] + shift * (x[1] - x[0]), height = inner ? Math.exp(top - 0.25 * (left - right) * shift) : y[i] ?? 0;
+    return { frequency, height, isResolved: frequency * (this.time[this.size - 1] - this.duration) >= 2 };
+  }
   // the instants at which segments from a time to a time begin, the same for all runs over one grid
   chosen(from, to) {
     const { time, size, grid } = this, key = `${size} ${from} ${to}`;

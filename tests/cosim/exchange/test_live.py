@@ -6,6 +6,7 @@ import base64
 import importlib
 import json
 import random
+import re
 import shlex
 import shutil
 import socket
@@ -296,8 +297,21 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
     page.wait_for_timeout(300.0)
     spectrum = "page.charts.find(each => each.key === 'spectrum').panels[0]"
     assert page.evaluate(f"[{spectrum}.marks.length, {spectrum}.recorded.marks.length > 0]") == [0, True]
-    expected = measure_run(flexfmu.run(run.scene.replace({"payload.mass": mass})), 0)["peak_torque_1"].value
+    changed = flexfmu.run(run.scene.replace({"payload.mass": mass}))
+    expected = measure_run(changed, 0)["peak_torque_1"].value
     assert float(tile.inner_text().split()[0]) == pytest.approx(expected, rel=1e-4)
+    # what rings, as the report of that run says
+    (ringing,) = re.findall("mostly at ([0-9.]+ Hz)", changed.live().html.partition("</header>")[0])
+    assert f", mostly at {ringing};" in page.locator(".verdict").inner_text()
+    # figures have the digits that their errors allow, once these are known
+    page.evaluate("location.hash = '#accuracy=3'")
+    page.wait_for_timeout(1500.0)
+    (coarse,) = page.locator(".tile [data-metric=rms_acceleration_error]").all_inner_texts()
+    sharp = measure_run(run, 0)["rms_acceleration_error"].value
+    assert len(coarse.split()[0]) < 6
+    assert float(coarse.split()[0]) == pytest.approx(sharp, rel=2e-3)
+    page.evaluate(f"location.hash = '#payload.mass={mass}'")
+    page.wait_for_timeout(500.0)
     # a step of the keyboard from where a slider begins, and back
     slider.fill("0")
     places = list[str]()
