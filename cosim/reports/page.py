@@ -86,7 +86,7 @@ class Figure(str):
             text += f" ({100.0 * (value - base) / abs(base):+.3g} %)".replace("-", "−")
         within = value is not None and value <= (limit or 0.0)
         phrase = phrases[0 if value is None else 1 if within else 2]
-        facts = {"factor": factor, "unit": unit, "limit": limit, "digits": 5 if phrases is PLAIN else digits}
+        facts = {"factor": factor, "unit": unit, "limit": limit, "digits": digits or 5}
         facts |= {"compared": base is not None, "phrases": phrases}
         return cls.said(phrase.replace("{}", text), name, is_over=is_over, run=run, **facts)
 
