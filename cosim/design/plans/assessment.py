@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +20,7 @@ from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.clearance import to_nearest
 from flexfmu.cosim.design.plans.goals import MET, RATES, Goals, Variation, peak_rates
 from flexfmu.cosim.design.plans.sampled_loop import loop_run, tracking_error, with_learned_torques
-from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.experiment.metric import Metric, RunMetrics
@@ -36,7 +37,9 @@ from flexfmu.cosim.metrics.signals import TORQUES, segments
 from flexfmu.cosim.metrics.stress import link_stresses
 from flexfmu.model.reference_design import optimal_control
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.sources import OwnMotion, as_trajectory
 from flexfmu.trajectories.table import read_table
@@ -268,6 +271,21 @@ class Assessment:
 
 Judged = tuple[tuple[Peaks, ...], tuple[Limit, ...]]
 """What a journal has of an assessment."""
+
+
+FAILURES = (CosimError, TrajectoryError, SceneError, EquilibriumError)
+"""Errors of one motion, which don't end the plan."""
+
+
+@contextmanager
+def noted(failures: list[str], what: str = "") -> Iterator[None]:
+    """Note why what is done fails; a full disk and the like are no motion's fault, and end the plan."""
+    try:
+        yield
+    except FAILURES as error:
+        if isinstance(error.__cause__, OSError):
+            raise
+        failures.append(f"{what}: {error}" if what else str(error))
 
 
 class Judge:

@@ -9,10 +9,8 @@ from math import ceil, inf, pi
 import numpy as np
 
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.assessment import Candidate, Judge
-from flexfmu.cosim.design.plans.goals import MET
-from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.cosim.design.plans.assessment import Candidate, Judge, noted
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import spline
 
@@ -105,14 +103,10 @@ def drive_table(
         # the motion of a drive that goes through each sample by quintics
         motion = spline(instants[: moving + 1], values[-1][:, : moving + 1] / per_radian, coordinates="joints")
         parts.append(Candidate(f"{rate:g} samples a second", "csv", goals.scene, motion))
-    use = Limit("residual of the samples", judge.goals.wishes.residual, "m", rounding=MET)
-    try:
-        found = judge.assess(replace(parts[0], ways=tuple(parts) if judge.goals.ways else ()))
-        use = use.used(found.uses[0].value, found.uses[0].where)
-    except (TrajectoryError, ResultsError) as error:
-        if isinstance(error.__cause__, OSError):
-            raise  # a full disk, for example
-        use = use.used(inf, f"the robot can't follow them: {error}")
+    use, failures = judge.goals.limits["residual"], list[str]()
+    with noted(failures, "the robot can't follow them"):
+        use = judge.assess(replace(parts[0], ways=tuple(parts) if judge.goals.ways else ())).uses[0]
+    use = replace(use.used(inf, failures[0]) if failures else use, figure="residual of the samples")
     unit = unit if counts is None else "count"
     return DriveTable(rate, unit, per_radian, np.concatenate(values, axis=1), np.concatenate(torques), use)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import monotonic
@@ -13,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.assessment import FIGURES, JUDGED, Assessment, Candidate, Judge, heading, shown
+from flexfmu.cosim.design.plans.assessment import FIGURES, JUDGED, Assessment, Candidate, Judge, heading, noted, shown
 from flexfmu.cosim.design.plans.drive_table import DriveTable, drive_table
 from flexfmu.cosim.design.plans.goals import LOOP_PARTS, Goals, check_holding_torque, checked_goals, judged_scene
 from flexfmu.cosim.design.plans.optimal import flexible, optimal
 from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
 from flexfmu.cosim.design.plans.sampled_loop import with_learned_torques
 from flexfmu.cosim.design.plans.search import search
-from flexfmu.cosim.engine.errors import CosimError, InputError
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import Rows, ShowProgress, quiet
 from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.experiment.planning import plan
@@ -28,10 +27,8 @@ from flexfmu.cosim.experiment.timing import processor_time
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal, about_scene
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.model.one_thread import one_blas_thread
-from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
-from flexfmu.trajectories.errors import TrajectoryError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,9 +53,6 @@ ALIKE = 1e-3
 
 NO_SAG = 1e-12
 """Sag [m] below which an undeformed start is at rest."""
-
-FAILURES = (CosimError, TrajectoryError, SceneError, EquilibriumError)
-"""Errors of one candidate, which don't end the plan."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,20 +275,10 @@ def plan_scene(
         )
     candidates = [replace(each, scene=judged_scene(each.scene, goals.wishes)) for each in candidates]
 
-    @contextmanager
-    def noted(what: str) -> Iterator[None]:
-        # what fails doesn't end the plan; a full disk and the like are neither a motion's nor a method's fault
-        try:
-            yield
-        except FAILURES as error:
-            if isinstance(error.__cause__, OSError):
-                raise
-            failures.append(f"{what}: {error}")
-
     def proposed() -> Iterator[Candidate | str]:
         yield from candidates
         for name in (each for each in METHODS if each in methods):
-            with noted(name):
+            with noted(failures, name):
                 yield from METHODS[name](judge, found, processes, watched)
 
     def watched(text: str, share: float | None) -> None:
@@ -303,7 +287,7 @@ def plan_scene(
             raise KeyboardInterrupt
 
     def assess(candidate: Candidate) -> None:
-        with noted(candidate.label):
+        with noted(failures, candidate.label):
             found.append(judge.assess(candidate))
 
     interrupted = False

@@ -16,18 +16,15 @@ from typing import Any
 import numpy as np
 
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.assessment import STEP, Candidate, Judge
+from flexfmu.cosim.design.plans.assessment import STEP, Candidate, Judge, noted
 from flexfmu.cosim.design.plans.goals import Goals, Variation, goals_of
 from flexfmu.cosim.design.plans.sampled_loop import joint_motion, loop_run, tracking_error, with_learned_torques
-from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.model.finite_elements.motion import equilibrium, simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.scene.effects import NoDampingSection
-from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import damped_modes
-from flexfmu.trajectories.errors import TrajectoryError
 
 RICHER: Mapping[str, Mapping[str, Any]] = {
     "distal bending": {"effects.distal_bending": 3},
@@ -117,39 +114,34 @@ def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOW
     Raises:
         BuildError: a model's FMU can't be built.
     """
-    fixed, richest = frozen(candidate), {**richest_effects(goals.scene)}
+    fixed, effects = frozen(candidate), goals.scene.effects
+    families = ("proximal_bending", "proximal_axial", "distal_bending", "distal_axial")
+    richest: dict[str, Any] = {key: value for changes in RICHER.values() for key, value in changes.items()}
+    richest |= {f"effects.{key}": max(3, getattr(effects, key)) for key in families}
     robots = {"planned model": ({}, 1.0, 1.0), **{name: (changes, 1.0, 1.0) for name, changes in RICHER.items()}}
     robots[RICHEST] = richest, 1.0, 1.0
     for name, (stiffness, damping) in BANDS.items():
-        if damping == 1.0 or not isinstance(goals.scene.effects.damping, NoDampingSection):
+        if damping == 1.0 or not isinstance(effects.damping, NoDampingSection):
             robots[f"{RICHEST}, {name}"] = richest, stiffness, damping
     lines: dict[str, Callable[[str], RobustnessLine]]
     lines = {name: partial(_assessed, fixed, goals, *robot) for name, robot in robots.items()}
     lines["finite elements"] = partial(_by_elements, fixed, goals)
     if goals.loop is None:
-        lines |= {name: partial(_usual_loop, controllers, fixed, goals) for name, controllers in LOOPS.items()}
+        where = f"{goals.scene.payload.mass:g} kg"
+        for name, controllers in LOOPS.items():
+            lines[name] = partial(_in_a_loop, goals.scene, _usual_loop(goals.scene, controllers), fixed, where)
     else:
         loop = with_learned_torques(goals.loop, candidate.joints, goals.scene.trajectory.dwell)
-        lines |= {
-            f"the scene's loop, {mass:g} kg": partial(_other_payload, mass, fixed, loop)
-            for mass in dict.fromkeys(goals.band)
-        }
+        for mass in dict.fromkeys(goals.band):
+            changes = _other_payload(loop, mass)
+            lines[f"the scene's loop, {mass:g} kg"] = partial(_in_a_loop, loop, changes, fixed, f"{mass:g} kg")
     # each of them, or that there is none and why
     content = fixed.content
     for name, line in lines.items():
-        try:
-            yield journal.kept(("robustness", name, content), RobustnessLine, partial(line, name))
-        except (CosimError, SceneError, TrajectoryError, EquilibriumError) as error:
-            if isinstance(error.__cause__, OSError):
-                raise  # a full disk, for example
-            yield RobustnessLine(name, nan, "", note=str(error))
-
-
-def richest_effects(scene: Scene) -> Mapping[str, Any]:
-    """Keys of the richest model of a scene's robot."""
-    families = dict.fromkeys(("proximal_bending", "proximal_axial", "distal_bending", "distal_axial"), 3)
-    most = {f"effects.{key}": max(value, getattr(scene.effects, key)) for key, value in families.items()}
-    return most | {key: value for changes in RICHER.values() for key, value in changes.items() if key not in most}
+        found, failures = list[RobustnessLine](), list[str]()
+        with noted(failures):
+            found.append(journal.kept(("robustness", name, content), RobustnessLine, partial(line, name)))
+        yield from found or [RobustnessLine(name, nan, "", note=failures[0])]
 
 
 def _assessed(
@@ -179,37 +171,32 @@ def _by_elements(fixed: Candidate, goals: Goals, name: str) -> RobustnessLine:
     after = found.time >= motion.duration - 1e-9
     rest = equilibrium(robot, end).position
     residual = float(np.hypot(*(found.position[after] - rest).T).max())
-    return RobustnessLine(
-        name,
-        residual,
-        f"{scene.payload.mass:g} kg",
-        note=f"{ELEMENTS} elements a link, peak torque {np.abs(found.torque).max():.4g} N·m",
-    )
+    note = f"{ELEMENTS} elements a link, peak torque {np.abs(found.torque).max():.4g} N·m"
+    return RobustnessLine(name, residual, f"{scene.payload.mass:g} kg", note=note)
 
 
-def _other_payload(mass: float, fixed: Candidate, loop: Scene, name: str) -> RobustnessLine:
-    """The scene's own loop with a payload that its feedforward doesn't know."""
-    payload = {"kind": "payload-error", "relative": mass / loop.payload.mass - 1.0} if loop.payload.mass else None
-    imperfections = loop.model_dump(exclude_none=True).get("imperfection", ())
-    scene = loop.replace({"imperfection": [*imperfections, payload]}) if payload else loop
-    return _in_a_loop(scene, fixed, name, f"{mass:g} kg", fixed.scene.trajectory.dwell)
+def _other_payload(loop: Scene, mass: float) -> Mapping[str, Any]:
+    """Keys of the scene's own loop with a payload that its feedforward doesn't know."""
+    if not loop.payload.mass:
+        return {}
+    payload = {"kind": "payload-error", "relative": mass / loop.payload.mass - 1.0}
+    return {"imperfection": [*loop.model_dump(exclude_none=True)["imperfection"], payload]}
 
 
-def _usual_loop(controllers: Sequence[Mapping[str, Any]], fixed: Candidate, goals: Goals, name: str) -> RobustnessLine:
-    """Motors that follow by a loop with encoders."""
-    changes = {
+def _usual_loop(scene: Scene, controllers: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
+    """Keys of motors that follow by a loop with encoders."""
+    return {
         "cosimulation.drive": "torque",
-        "effects.motor_inertia": goals.scene.effects.motor_inertia or MOTOR_INERTIA,
+        "effects.motor_inertia": scene.effects.motor_inertia or MOTOR_INERTIA,
         "controller": [{"sample_time": SAMPLE_TIME, **each} for each in controllers],
         "imperfection": [{"kind": "encoder", "counts_per_turn": COUNTS}],
         "filter": [],
     }
-    line = _in_a_loop(goals.scene.replace(changes), fixed, name, f"{goals.scene.payload.mass:g} kg")
-    return replace(line, note=f"encoders of {COUNTS:.0e} counts, {line.note}")
 
 
-def _in_a_loop(scene: Scene, fixed: Candidate, name: str, where: str, dwell: float = 0.0) -> RobustnessLine:
-    """The line of a scene's loop."""
-    run = loop_run(scene, fixed.joints, dwell)
+def _in_a_loop(scene: Scene, changes: Mapping[str, Any], fixed: Candidate, where: str, name: str) -> RobustnessLine:
+    """The line of a loop: a scene with changes."""
+    run = loop_run(scene.replace({**changes}), fixed.joints, fixed.scene.trajectory.dwell)
     note = f"tracking error {1e3 * tracking_error(run):.3g} mrad"
+    note = f"encoders of {COUNTS:.0e} counts, {note}" if name in LOOPS else note
     return RobustnessLine(name, float(run.metrics["residual_vibration_amplitude"]), where, note=note)
