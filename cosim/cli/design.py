@@ -659,12 +659,13 @@ def plan(
 
     from flexfmu.cosim.design.gains.robustness import parse_band
     from flexfmu.cosim.design.identification.result import Identification
-    from flexfmu.cosim.design.plans.assessment import file_candidate
+    from flexfmu.cosim.design.plans.assessment import own_candidate
     from flexfmu.cosim.design.plans.drive_table import check_drive
     from flexfmu.cosim.design.plans.planned_files import planned_scenes, summary, write_plan, write_scene
     from flexfmu.cosim.design.plans.planner import METHODS, about_plan, plan_scene
     from flexfmu.cosim.engine.files import write_whole
     from flexfmu.cosim.many.journal import WorkJournal
+    from flexfmu.trajectories.table import read_table
 
     console.check_scene_file(output)
     console.check_file(export, ".csv", "a drive's table")
@@ -697,7 +698,7 @@ def plan(
         result = plan_scene(
             robot,
             methods=method or (("optimal",) if before else METHODS),
-            candidates=[file_candidate(robot, path) for path in candidate or ()],
+            candidates=[own_candidate(robot, path.name, read_table(path).trajectory()) for path in candidate or ()],
             before=before,
             processes=processes or os.cpu_count() or 1,
             budget=budget,

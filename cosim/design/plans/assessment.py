@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -42,7 +41,6 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.sources import OwnMotion, as_trajectory
-from flexfmu.trajectories.table import read_table
 from flexfmu.trajectories.trajectory import Trajectory
 
 Method = Literal["given", "search", "flexible references", "optimal control", "csv"]
@@ -116,16 +114,6 @@ class Candidate:
         loop = None if self.trajectory is None else own_loop(self.scene, self.trajectory)
         scene = self.scene if loop is None else loop.motion.scene
         return PreparedScene(scene, loop=loop, communication_step=step, tolerance=tolerance)
-
-
-def file_candidate(scene: Scene, path: Path) -> Candidate:
-    """A user's motion from a CSV file, of the joints or the end effector, to be judged beside those found.
-
-    Raises:
-        TrajectoryError: the file can't be read, or its motion can't be used; the message names line, column and value.
-        InputError: the motion starts or ends elsewhere than the scene's.
-    """
-    return own_candidate(scene, path.name, read_table(path).trajectory())
 
 
 def own_candidate(scene: Scene, name: str, motion: OwnMotion | Trajectory) -> Candidate:

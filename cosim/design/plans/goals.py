@@ -163,6 +163,11 @@ class Goals:
         return plan(self.scene) if self.own is None else plan_own(self.scene, self.own)
 
     @property
+    def standstill(self) -> float:
+        """Time at rest after the motion that RMS torques contain [s]."""
+        return self.scene.trajectory.dwell if self.pause is None else self.pause
+
+    @property
     def rest(self) -> float:
         """Pauses of a cycle together [s]; 0 for a single motion."""
         return sum(each.pause or 0.0 for each in self.ways)
@@ -338,27 +343,21 @@ def checked_goals(scene: Scene) -> Goals:
     """
     goals = goals_of(scene)
     for each in goals.ways or (goals,):
-        _check(each)
+        _check_way(each)
+        check_holding_torque(each)
+        _check_duration(each)
     return goals
 
 
-def _check(goals: Goals) -> None:
-    """Check the goals of a motion."""
-    # start and end may not lie where the end effector must not be
-    for name, point in (("start", goals.trace[0]), ("end", goals.trace[-1])):
-        distance = float(goals.clearance.distance(point[None])[0])
+def _check_way(goals: Goals) -> None:
+    """There must be a way from start to end within the workspace, around the user's regions, in which neither lies."""
+    for name, (x, y) in (("start", goals.trace[0]), ("end", goals.trace[-1])):
+        distance = float(goals.clearance.distance(np.array([[x, y]]))[0])
         if distance < -goals.wishes.margin:
             raise InputError(
-                f"`plan.keep_out` contains the {name} of the motion, ({point[0]:g}, {point[1]:g}) m, or with `links` one of them there, "
+                f"`plan.keep_out` contains the {name} of the motion, ({x:g}, {y:g}) m, or with `links` one of them there, "
                 f"{1e3 * -distance:.3g} mm within its outline: make the region smaller"
             )
-    _check_way(goals)
-    check_holding_torque(goals)
-    _check_duration(goals)
-
-
-def _check_way(goals: Goals) -> None:
-    """There must be a way from start to end within the workspace, around the user's regions."""
     if not goals.wishes.keep_out:
         return
     mechanism = goals.scene.mechanism
@@ -375,7 +374,6 @@ def _check_way(goals: Goals) -> None:
     )
     parts = label(free.reshape(GRID, GRID), np.ones((3, 3)))[0].ravel()
     if not parts[start] == parts[end] > 0:
-        x, y = goals.trace[-1]
         raise InputError(
             f"`plan.keep_out` leaves no way within the workspace from the start to the end, ({x:g}, {y:g}) m: open a gap, or "
             f"make a region smaller"

@@ -403,12 +403,6 @@ def reserves(judged: Assessment) -> Mapping[str, float]:
     return found | ({"residual": residual} if residual < 1.0 else {})
 
 
-def _nearer(distances: optimal_control.Distances, allowed: float, points: RealArray) -> tuple[RealArray, RealArray]:
-    """Distances of which some is allowed."""
-    distance, gradient = distances(points)
-    return distance + allowed, gradient
-
-
 def fuller_scene(scene: Scene) -> Scene | None:
     """The scene with the effects that lower its lowest frequencies; None for a rigid robot, or if it has them all."""
     effects = scene.effects
@@ -439,44 +433,36 @@ def limited(
         largest = np.array([each.maximum_speed / each.gear_ratio for each in drives.motors])
         usual_speed = np.max([each.values["motor_speed"] for each in given.peaks], axis=0)
         speed = np.minimum(speed, largest * goals.limit("motor_speed", usual_speed))
-    pauses = [each.scene.trajectory.dwell if each.pause is None else each.pause for each in each_goals]
     names = ["torque", *(name for name in LOADS if name in goals.limits)]
     needs = list[dict[str, RealArray]]()
-    for of_way, (robots, cases), pause in zip(each_goals, motions, pauses, strict=True):
-        needs.append({name: each[cases] for name, each in _given_loads(of_way, robots, names, pause).items()})
+    for of_way, (robots, cases) in zip(each_goals, motions, strict=True):
+        needs.append({name: each[cases] for name, each in _given_loads(of_way, robots, names).items()})
     # the largest of all ways, or their sum
-    time = sum(each.given.once.duration + pause for each, pause in zip(each_goals, pauses, strict=True))
-    usual = dict[str, RealArray]()
+    usual, time = dict[str, RealArray](), sum(each.given.once.duration + each.standstill for each in each_goals)
     for name in names:
-        if name in optimal_control.OF_CYCLE:
-            whole = np.sum([each[name] for each in needs], axis=0)
-            is_root, weight = name in optimal_control.ROOTS, optimal_control.weight_of_squares(name, time, drives)[0]
-            usual[name] = np.sqrt(whole * weight) if is_root else whole
-        else:
-            usual[name] = np.max([each[name] for each in needs], axis=0)
+        of_ways = [each[name] for each in needs]
+        usual[name] = np.sum(of_ways, axis=0) if name in optimal_control.OF_CYCLE else np.max(of_ways, axis=0)
+        if name in optimal_control.ROOTS:
+            usual[name] = np.sqrt(usual[name] * optimal_control.weight_of_squares(name, time, drives)[0])
     limits = {name: share * goals.limit(name, each) for name, each in usual.items()}
     ways = []
-    for of_way, (robots, cases), pause in zip(each_goals, motions, pauses, strict=True):
+    for of_way, (robots, cases) in zip(each_goals, motions, strict=True):
         loads = dict[str, RealArray]()
         for name, limit in limits.items():
             if name not in optimal_control.OF_CYCLE:
                 # a robot of several cases keeps the least limit
                 loads[name] = np.full((len(robots), *limit.shape[1:]), np.inf)
                 np.minimum.at(loads[name], cases, limit)
-
-        clearance = of_way.clearance.of_ways if walls else of_way.clearance.distances
-        distances = partial(_nearer, clearance, clear * goals.wishes.margin)
+        distances = of_way.clearance.of_ways if walls else of_way.clearance.distances
         own = optimal_control.MotionLimits(
-            loads.pop("torque"), speed, acceleration, jerk, quiet * goals.wishes.residual, distances, loads, pause,
-            goals.wishes.settled_within, drives,
-        )  # fmt: skip
+            loads.pop("torque"), speed, acceleration, jerk, quiet * goals.wishes.residual, distances, loads,
+            of_way.standstill, goals.wishes.settled_within, drives,
+        ).tightened({"clearance": -clear * goals.wishes.margin})  # fmt: skip
         ways.append(optimal_control.Way(robots, own, _spline(of_way.given.once.joints), cases))
     return ways, {name: limit for name, limit in limits.items() if name in optimal_control.OF_CYCLE}
 
 
-def _given_loads(
-    goals: Goals, robots: Sequence[RobotVariant], names: Sequence[str], pause: float
-) -> dict[str, RealArray]:
+def _given_loads(goals: Goals, robots: Sequence[RobotVariant], names: Sequence[str]) -> dict[str, RealArray]:
     """The largest loads of the given motion at an instant, (P, 2) or (P,), and what it adds to those of a cycle."""
     joints = goals.given.once.joints
     first, last = joints.evaluate([0.0, joints.duration], 0, "right")[0]
@@ -485,7 +471,7 @@ def _given_loads(
     references, duration = joints.evaluate(elastic.fractions * joints.duration, 2, "left"), joints.duration
     found = elastic.of_references(references, duration)
     holding = joined([part.model.rest(last).torque for part in elastic.parts])
-    motors = optimal_control.MotorLoads(elastic.fractions, holding, pause, goals.drives, link_loads)
+    motors = optimal_control.MotorLoads(elastic.fractions, holding, goals.standstill, goals.drives, link_loads)
     units = {name: optimal_control.OF_CYCLE.get(name, name) for name in names}
     values = motors.of_references(units.values(), references, duration, found)
     axes = {name: () if name in optimal_control.OF_CYCLE else (1, 2) if name in link_loads else 1 for name in names}

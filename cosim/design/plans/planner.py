@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -125,13 +124,16 @@ class PlanResult(Rows):
 
         A motion that misses a limit isn't better than one that keeps all. The chosen motion is always there.
         """
-        everyone, kept = (self.given, *self.assessed), list[Assessment]()
         # the chosen one first, so that none like it replaces it
-        for each in sorted(everyone, key=lambda each: (each is not self.chosen, each.time)):
-            is_beaten = any(_dominates(other, each, self.axes) for other in everyone)
-            if each is self.chosen or not (is_beaten or any(_alike(each, other, self.axes) for other in kept)):
-                kept.append(each)
-        return tuple(sorted(kept, key=lambda each: each.time))
+        everyone = sorted((self.given, *self.assessed), key=lambda each: (each is not self.chosen, each.time))
+        values, kept = np.array([[each.worst(name) for name in self.axes] for each in everyone]), list[int]()
+        for k, each in enumerate(everyone):
+            others = values[[other.feasible or not each.feasible for other in everyone]]
+            is_beaten = ((others <= values[k]).all(axis=1) & (others < values[k]).any(axis=1)).any()
+            is_there = np.isclose(values[kept], values[k], rtol=ALIKE, atol=0.0).all(axis=1).any()
+            if each is self.chosen or not (is_beaten or is_there):
+                kept.append(k)
+        return tuple(sorted((everyone[k] for k in kept), key=lambda each: each.time))
 
     @property
     def table(self) -> tuple[Assessment, ...]:
@@ -318,19 +320,6 @@ def plan_scene(
 def about_plan(scene: Scene, before: Sequence[Scene]) -> dict[str, Any]:
     """What determines the results of a plan, for its journal: the scene, and the earlier plan that it goes on from."""
     return about_scene(scene) | ({"before": [about_scene(each) for each in before]} if before else {})
-
-
-def _dominates(one: Assessment, other: Assessment, axes: Sequence[str]) -> bool:
-    """Whether one is at least as good in every figure, and better in one; what misses a limit doesn't dominate what keeps all."""
-    if other.feasible and not one.feasible:
-        return False
-    pairs = [(one.worst(name), other.worst(name)) for name in axes]
-    return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
-
-
-def _alike(one: Assessment, other: Assessment, axes: Sequence[str]) -> bool:
-    """Whether a front has one of both."""
-    return all(math.isclose(one.worst(name), other.worst(name), rel_tol=ALIKE) for name in axes)
 
 
 def best(found: Sequence[Assessment], minimise: str) -> Assessment:

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 import flexfmu
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans import planner
-from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, Peaks, file_candidate, own_candidate
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, Peaks, own_candidate
 from flexfmu.cosim.design.plans.goals import Variation, check_holding_torque, goals_of
 from flexfmu.cosim.design.plans.planned_files import write_plan, write_scene
 from flexfmu.cosim.design.plans.planner import FRONT, PlanResult, best, plan_scene
@@ -33,7 +33,7 @@ from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.model.reference_design.joint_spline import fitted
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.piecewise import spline
-from flexfmu.trajectories.table import write_table
+from flexfmu.trajectories.table import read_table, write_table
 
 pytestmark = pytest.mark.slow
 
@@ -324,7 +324,7 @@ def test_a_motion_from_a_file(tmp_path: Path) -> None:
     """It is judged as the same motion of a scene, without the scene's shapers, and stands in the table."""
     file = tmp_path / "mine.csv"
     write_table(file, flexfmu.reference_motion(SCENE.replace({"trajectory.duration": 0.5})).task)
-    candidate = file_candidate(SCENE.replace({"shaper": [{"kind": "zv"}]}), file)
+    candidate = own_candidate(SCENE.replace({"shaper": [{"kind": "zv"}]}), file.name, read_table(file).trajectory())
     slow = Candidate("slower", "csv", GOALS.scene.replace({"trajectory.duration": 0.6}))
     wishes = SCENE.replace({"plan.residual": 1.0})
     planned = plan_scene(wishes, methods=(), candidates=[candidate, slow], robust=False)
