@@ -89,11 +89,8 @@ class Candidate:
         if self.ways:
             return {"ways": [each.content for each in self.ways]}
         own = self.trajectory
-        return {
-            **about_scene(self.scene),
-            "method": self.method,
-            "references": None if own is None else own.evaluate(np.linspace(0.0, own.duration, SAMPLES), 2, "left"),
-        }
+        references = None if own is None else own.evaluate(np.linspace(0.0, own.duration, SAMPLES), 2, "left")
+        return about_scene(self.scene) | {"method": self.method, "references": references}
 
     @property
     def joints(self) -> Trajectory:
@@ -313,9 +310,8 @@ class Judge:
     def of_ways(self, candidate: Candidate, *, given: bool = False) -> tuple[Assessment, ...]:
         """The assessments of each way of a cycle; arguments and errors as for `assess`."""
         judges = [Judge(each, self._payloads, self.journal) for each in self.goals.ways]
-        return tuple(
-            judge.given if given else judge.assess(way) for judge, way in zip(judges, candidate.ways, strict=True)
-        )
+        pairs = zip(judges, candidate.ways, strict=True)
+        return tuple(judge.given if given else judge.assess(way) for judge, way in pairs)
 
     def _of_cycle(self, ways: Sequence[Assessment], candidate: Candidate) -> Assessment:
         """What a cycle is worth: over all its ways and pauses, for each robot of the bands and what it carries on the other ways."""
@@ -346,9 +342,8 @@ class Judge:
                 elif name in each[0].times:
                     # of the cycle
                     ends = np.array([start + np.array(p.times[name]) for start, p in zip(starts, each, strict=True)])
-                    instants[name] = (
-                        *np.take_along_axis(ends, np.abs(rows - whole).argmin(axis=0)[np.newaxis], 0)[0].tolist(),
-                    )
+                    index = np.abs(rows - whole).argmin(axis=0)
+                    instants[name] = (*ends[index, np.arange(len(index))].tolist(),)
                 values[name] = (*whole.tolist(),)
             found.append(Peaks(first, values, instants))
         return Assessment(candidate, tuple(found))
@@ -430,11 +425,8 @@ class Judge:
         if "stress" in self.goals.limits:
             combined = [each.combined.value for each in link_stresses(run) if each.combined is not None]
             values["stress"] = [max(combined, default=0.0)]
-        instants = {
-            "torque": [time[np.abs(each).argmax()] for each in torques],
-            "off_path": [time[off.argmax()]],
-            "clearance": [time[depth.argmax()]],
-        }
+        instants = {"torque": [time[np.abs(each).argmax()] for each in torques]}
+        instants |= {"off_path": [time[off.argmax()]], "clearance": [time[depth.argmax()]]}
         tables = ({name: tuple(map(float, each)) for name, each in table.items()} for table in (values, instants))
         return Peaks(variation, *tables)
 
@@ -452,10 +444,8 @@ class Judge:
     def _uses(self, found: Assessment, given: Assessment) -> Iterator[Limit]:
         """How close the motion comes to each limit, and where."""
         for limit in self.goals.limits.values():
-            rows = needs(limit.figure, found, given)
-            value, where = max(
-                (_ratio(need, usual) if limit.is_relative else need, where) for need, usual, where in rows
-            )
+            rows, is_relative = needs(limit.figure, found, given), limit.is_relative
+            value, where = max((_ratio(need, usual) if is_relative else need, where) for need, usual, where in rows)
             # without a keep-out region there is no depth in it; on its outline it is 0
             if value > -math.inf:
                 yield limit.used(max(value, 0.0), where)
@@ -491,12 +481,8 @@ def _left_vibration(
     left = optimal_control.LeftVibration([end.rests for end in ends], [each.pause or 0.0 for each in goals.ways], cases)
     left.renew(transfers)
     pairs = zip(ends, cases, left.periodic(states), states, strict=True)
-    return np.array(
-        [
-            [optimal_control.bounds(end.matrices[k], each) for each in (periodic, periodic - own[k])]
-            for end, k, periodic, own in pairs
-        ]
-    )
+    bounds = optimal_control.bounds
+    return np.array([[bounds(end.matrices[k], each) for each in (now, now - own[k])] for end, k, now, own in pairs])
 
 
 def _both_powers(recording: Recording, joints: Trajectory) -> dict[str, list[float]]:

@@ -236,10 +236,8 @@ class Clearance:
             turning = np.stack([-(elbow - base)[:, 1], (elbow - base)[:, 0]], axis=-1)
             arm = elbow - points
             with np.errstate(divide="ignore", invalid="ignore"):
-                by = (
-                    turning[:, :, np.newaxis]
-                    * (arm / np.einsum("nj,nj->n", arm, turning)[:, np.newaxis])[:, np.newaxis]
-                )
+                share = arm / np.einsum("nj,nj->n", arm, turning)[:, np.newaxis]
+            by = turning[:, :, np.newaxis] * share[:, np.newaxis]
             for region in self.for_links:
                 distance, _, slope = region.of_segments(np.broadcast_to(base, points.shape), elbow)
                 proximal = distance - 0.5 * robot.proximal.diameter, np.einsum("nj,njk->nk", slope, by)

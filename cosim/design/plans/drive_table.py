@@ -54,12 +54,8 @@ class DriveTable:
         """A line for each sample; the header has units, FMU-like names joint by joint."""
         units = self.unit, f"{self.unit}/s", f"{self.unit}/s2", "N.m"
         kinds = ("position", "velocity", "acceleration", "torque")
-        header = [
-            "time [s]",
-            *(f"joint{j}.{kind} [{unit}]" for kind, unit in zip(kinds, units, strict=True) for j in (1, 2)),
-        ]
-        whole = self.unit == "count"
-        lines = [",".join(header)]
+        names = [f"joint{j}.{kind} [{unit}]" for kind, unit in zip(kinds, units, strict=True) for j in (1, 2)]
+        lines, whole = [",".join(["time [s]", *names])], self.unit == "count"
         for time, *rows in zip(self.time.tolist(), *self.values.tolist(), self.torque.tolist(), strict=True):
             angles = [str(int(value)) if whole else f"{value:.12g}" for row in rows[:-1] for value in row]
             lines.append(",".join([f"{time:.9g}", *angles, *(f"{value:.7g}" for value in rows[-1])]))

@@ -195,9 +195,8 @@ class Goals:
         low, high = self.band
         masses = np.linspace(low, high, payloads).tolist() if high > low else [low]
         found = [Variation(mass) for mass in masses]
-        stiffness, damping = (
-            (1 - x, 1.0, 1 + x) if x else (1.0,) for x in (self.wishes.stiffness_band, self.wishes.damping_band)
-        )
+        bands = self.wishes.stiffness_band, self.wishes.damping_band
+        stiffness, damping = ((1 - x, 1.0, 1 + x) if x else (1.0,) for x in bands)
         corners = product(sorted({low, 0.5 * (low + high), high}), stiffness, damping)
         found += [Variation(m, k, c) for m, k, c in corners if (k, c) != (1.0, 1.0)]
         return tuple(found)
@@ -316,10 +315,8 @@ def _with_feedforward(scene: Scene) -> Scene:
 
 def judged_scene(scene: Scene, wishes: PlanSection) -> Scene:
     """The scene as its motions are judged: from rest, since a robot that starts undeformed swings whatever the motion does."""
-    changes: dict[str, Any] = {
-        "trajectory.dwell": max(scene.trajectory.dwell, wishes.settled_within + LEAST_DWELL),
-        "cosimulation.initial": "static",
-    }
+    dwell = max(scene.trajectory.dwell, wishes.settled_within + LEAST_DWELL)
+    changes: dict[str, Any] = {"trajectory.dwell": dwell, "cosimulation.initial": "static"}
     if wishes.limits.reaction is not None:
         changes["effects.reactions"] = True
     # the payload is a parameter of the FMU if the scene has one

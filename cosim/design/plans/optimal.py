@@ -301,10 +301,9 @@ def _from_motions(
     slower: float,
 ) -> tuple[list[optimal_control.Way], dict[str, RealArray]]:
     """The ways with tighter limits, from known motions on."""
-    tight = [
-        replace(way, limits=way.limits.tightened(excess), start=each.with_duration(slower * each.duration))
-        for way, each in zip(ways, motions, strict=True)
-    ]
+    starts = [each.with_duration(slower * each.duration) for each in motions]
+    pairs = zip(ways, starts, strict=True)
+    tight = [replace(way, limits=way.limits.tightened(excess), start=start) for way, start in pairs]
     return tight, {name: each / excess.get(name, 1.0) for name, each in loads.items()}
 
 
@@ -352,10 +351,8 @@ def _attempt(
 
 def _candidate(goals: Goals, label: str, splines: Sequence[JointSpline]) -> Candidate:
     """The motion or the cycle of these splines."""
-    parts = [
-        Candidate(label, "optimal control", each.scene, spline.trajectory())
-        for each, spline in zip(goals.ways or (goals,), splines, strict=True)
-    ]
+    pairs = zip(goals.ways or (goals,), splines, strict=True)
+    parts = [Candidate(label, "optimal control", each.scene, spline.trajectory()) for each, spline in pairs]
     return replace(parts[0], ways=tuple(parts)) if goals.ways else parts[0]
 
 
@@ -396,9 +393,8 @@ def excesses(judged: Assessment) -> Mapping[str, float]:
 def reserves(judged: Assessment) -> Mapping[str, float]:
     """Factors below 1 by which limits of the programmes, of which a motion within all limits uses less than it could, may be wider."""
     shares = {use.figure: use.share for use in judged.uses}
-    found = {
-        name: share / FULL for name, share in shares.items() if name in ("torque", *LOADS) and ACTIVE < share < FULL
-    }
+    active = [name for name, share in shares.items() if name in ("torque", *LOADS) and ACTIVE < share < FULL]
+    found = {name: shares[name] / FULL for name in active}
     residual = max(shares["residual"], 0.5) / FULL_RESIDUAL
     return found | ({"residual": residual} if residual < 1.0 else {})
 

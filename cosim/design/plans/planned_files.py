@@ -136,11 +136,8 @@ def summary(result: PlanResult) -> dict[str, Any]:
     """The plan as plain data, in SI units; None for what isn't known."""
 
     def figures(each: Assessment) -> dict[str, Any]:
-        limits = [
-            {key: getattr(use, key) for key in ("name", "value", "limit", "unit", "where")} | {"met": bool(use.met)}
-            for use in each.uses
-        ]
-        return each.row | {"limits": limits}
+        keys = "name", "value", "limit", "unit", "where", "met"
+        return each.row | {"limits": [{key: getattr(use, key) for key in keys} for use in each.uses]}
 
     data = {
         "scene": result.goals.scene.name,
@@ -251,13 +248,10 @@ def ways_table(result: PlanResult) -> list[Table]:
 
 def limits_table(found: Assessment) -> Table:
     """How close a motion comes to each limit, and where."""
-    rows = [
-        [
-            use.name, f"{use.value:.4g}", f"{use.limit:.4g}", "-" if use.unit == "1" else use.unit, f"{100 * use.share:.1f} %",
-            "yes" if use.met else "no", use.where,
-        ]
-        for use in found.uses
-    ]  # fmt: skip
+    rows = []
+    for use in found.uses:
+        unit, share, kept = "-" if use.unit == "1" else use.unit, f"{100 * use.share:.1f} %", "yes" if use.met else "no"
+        rows.append([use.name, f"{use.value:.4g}", f"{use.limit:.4g}", unit, share, kept, use.where])
     header = ["Limit", "Value", "At most", "Unit", "Used", "Kept", "Where"]
     return Table("Limits", header, rows, "Worst over all robots of the bands. Clearance: depth in the keep-out region.")
 

@@ -181,11 +181,8 @@ class PlanResult(Rows):
                 figure, values = FIGURES[name], [each.worst(name) for each in (*self.assessed, self.given)]
                 for label, (motions, sign, size, colour) in groups.items():
                     for each in motions:
-                        x, y, face = (
-                            each.worst(along),
-                            figure.displayed(each.worst(name)),
-                            colour if each.feasible else "none",
-                        )
+                        x, y = each.worst(along), figure.displayed(each.worst(name))
+                        face = colour if each.feasible else "none"
                         axes.plot(x, y, sign, markersize=size, color=colour, markerfacecolor=face, label=label)
                 if max(values) > MANY * min(values) > 0.0:
                     logarithmic(axes)

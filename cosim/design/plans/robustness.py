@@ -92,17 +92,6 @@ class RobustnessLine:
         return tuple(use.name for use in self.uses if not use.met)
 
 
-def frozen(candidate: Candidate) -> Candidate:
-    """The candidate as a motion of the joints: other models don't change shapers that belong to it.
-
-    Raises:
-        TrajectoryError: the motion isn't feasible.
-    """
-    planned = candidate.prepared().run().plan
-    scene = planned.scene.replace({"shaper": []})
-    return Candidate(candidate.label, candidate.method, scene, joint_motion(planned.joints))
-
-
 def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOWHERE) -> Iterator[RobustnessLine]:
     """What remains of the candidate's figures in richer models, beyond the bands, and in a loop.
 
@@ -112,9 +101,12 @@ def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOW
         journal: where lines are kept.
 
     Raises:
+        TrajectoryError: the motion isn't feasible.
         BuildError: a model's FMU can't be built.
     """
-    fixed, effects = frozen(candidate), goals.scene.effects
+    # as a motion of the joints: other models don't change shapers that belong to it
+    scene, effects = candidate.scene.replace({"shaper": []}), goals.scene.effects
+    fixed = Candidate(candidate.label, candidate.method, scene, joint_motion(candidate.joints))
     families = ("proximal_bending", "proximal_axial", "distal_bending", "distal_axial")
     richest: dict[str, Any] = {key: value for changes in RICHER.values() for key, value in changes.items()}
     richest |= {f"effects.{key}": max(3, getattr(effects, key)) for key in families}

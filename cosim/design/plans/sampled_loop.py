@@ -33,10 +33,7 @@ AHEAD, SMOOTHED = 1.5, 20
 """How many samples later the error tells what a torque lacks, and how often corrections are averaged over three samples: a loop amplifies
 what changes from sample to sample."""
 
-WITHOUT_ROUNDING: Mapping[str, Mapping[str, Any]] = {
-    "encoder": {"counts_per_turn": 1e12},
-    "quantisation": {"resolution": 1e-12},
-}
+WITHOUT_ROUNDING: Mapping[str, Any] = {"encoder": {"counts_per_turn": 1e12}, "quantisation": {"resolution": 1e-12}}
 """Imperfections → keys with which they hardly round."""
 
 
@@ -81,11 +78,8 @@ def with_learned_torques(scene: Scene, joints: Trajectory, dwell: float = 0.0) -
     if last.kind != "feedforward" or last.robot != "flexible" or last.sample_time is None or len(gains) != 1:
         return scene
     data = scene.model_dump(exclude_none=True)
-    repeating = [
-        {**each, **WITHOUT_ROUNDING.get(each["kind"], {})}
-        for each in data["imperfection"]
-        if each["kind"] not in ("noise", "jitter")
-    ]
+    repeating = [each for each in data["imperfection"] if each["kind"] not in ("noise", "jitter")]
+    repeating = [{**each, **WITHOUT_ROUNDING.get(each["kind"], {})} for each in repeating]
     count = ceil((joints.duration + SETTLED) / last.sample_time)
     instants = last.sample_time * (np.arange(count) + AHEAD)
     motion = joints.evaluate(np.minimum(instants, joints.duration), 1, "left")
@@ -104,11 +98,9 @@ def with_learned_torques(scene: Scene, joints: Trajectory, dwell: float = 0.0) -
         if (residual := float(run.metrics["residual_vibration_amplitude"])) < best[0]:
             best = residual, corrected(correction, data["imperfection"])
         for joint in range(2):
-            position, velocity = (
-                motion[k, :, joint]
-                - np.interp(instants, run.recording.time, run.recording[f"joint{joint + 1}.{name}"].values)
-                for k, name in enumerate(("position", "velocity"))
-            )
+            signals = (run.recording[f"joint{joint + 1}.{name}"].values for name in ("position", "velocity"))
+            found = [np.interp(instants, run.recording.time, each) for each in signals]
+            position, velocity = motion[:, :, joint] - found
             torque = gains[0].proportional[joint] * position + gains[0].derivative[joint] * velocity
             torque += masses[:, joint] * np.gradient(velocity, last.sample_time)
             for _ in range(SMOOTHED):
