@@ -18,9 +18,8 @@ from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.clearance import to_nearest
 from flexfmu.cosim.design.plans.goals import MET, RATES, Goals, Variation, peak_rates
-from flexfmu.cosim.design.plans.sampled_loop import loop_run, tracking_error, with_learned_torques
-from flexfmu.cosim.engine.errors import CosimError, InputError, ResultsError
-from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.design.plans.sampled_loop import completed, loop_run, tracking_error, with_learned_torques
+from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.experiment.metric import Metric, RunMetrics
 from flexfmu.cosim.experiment.planning import plan, plan_own
@@ -54,9 +53,6 @@ SAME_PLACE = 1e-5
 
 JUDGED = 25
 """Payloads of the band for which every motion is judged."""
-
-INSTANTS = 4001
-"""Instants at which references are examined."""
 
 STEPS = 300
 """Steps of the integration that tells what a way leaves in the next."""
@@ -353,13 +349,9 @@ class Judge:
             assessment = self._of_cycle(self.of_ways(candidate, given=given), candidate)
         else:
             prepared, found = candidate.prepared(), list[Peaks]()
-            for variation in self.variations:
-                run = prepared.run(variation.changes(self.goals.scene))
-                if run.outcome is Outcome.INTERRUPTED:
-                    raise KeyboardInterrupt
-                if not run.completed:
-                    raise ResultsError(f"{candidate.label} with {variation}: {run.message}")
-                found.append(self._peaks(run, variation))
+            for each in self.variations:
+                run = completed(prepared.run(each.changes(self.goals.scene)), f"{candidate.label} with {each}")
+                found.append(self._peaks(run, each))
             assessment = Assessment(candidate, tuple(found))
         uses = [*self._uses(assessment, assessment if given else self.given)]
         if self.goals.loop is not None:
@@ -408,7 +400,7 @@ class Judge:
             **_both_powers(recording, run.plan.joints),
             "off_path": [off.max()],
             "clearance": [depth.max()],
-            **dict(zip(RATES, peak_rates(run.plan.joints, INSTANTS)[:, np.newaxis], strict=True)),
+            **dict(zip(RATES, peak_rates(run.plan.joints)[:, np.newaxis], strict=True)),
         }
         if loads := motor_loads(run):
             use = [{margin.name: margin.use for margin in load.margins} for load in loads]

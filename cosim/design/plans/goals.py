@@ -62,8 +62,8 @@ SAME_PLACE = 1e-6
 GRID = 160
 """Points along each side of the grid on which a way around the regions is looked for."""
 
-CHECKED = 2001
-"""Instants of the given motion at which its references are examined."""
+INSTANTS = 4001
+"""Instants at which references are examined."""
 
 
 @dataclass(frozen=True)
@@ -325,9 +325,9 @@ def judged_scene(scene: Scene, wishes: PlanSection) -> Scene:
     return scene.replace(changes)
 
 
-def peak_rates(joints: Trajectory, instants: int) -> RealArray:
-    """Largest speed, acceleration and jerk of a joint (3,) [rad/s ...], at so many instants."""
-    times = np.linspace(0.0, joints.duration, instants)
+def peak_rates(joints: Trajectory) -> RealArray:
+    """Largest speed, acceleration and jerk of a joint (3,) [rad/s ...], among `INSTANTS`."""
+    times = np.linspace(0.0, joints.duration, INSTANTS)
     return np.asarray(np.abs(joints.evaluate(times, 3, "left")[1:]).max(axis=(1, 2)))
 
 
@@ -425,7 +425,7 @@ def _check_duration(goals: Goals) -> None:
     motions = [each.given.once for each in goals.ways or (goals,)]
     ends = [each.joints.evaluate([0.0, each.duration], 0, "left")[0] for each in motions]
     turns = np.array([np.abs(last - first).max() for first, last in ends])
-    peaks = np.max([peak_rates(each.joints, CHECKED) for each in motions], axis=0)
+    peaks = np.max([peak_rates(each.joints) for each in motions], axis=0)
     for k, name in enumerate(RATES):
         if name not in goals.limits:
             continue

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pydantic_core
 
-from flexfmu.cosim.design.plans.assessment import FIGURES, INSTANTS, Assessment, heading, shown
+from flexfmu.cosim.design.plans.assessment import FIGURES, Assessment, heading, shown
 from flexfmu.cosim.design.plans.clearance import Clearance
-from flexfmu.cosim.design.plans.goals import RATES, Goals
+from flexfmu.cosim.design.plans.goals import INSTANTS, RATES, Goals
 from flexfmu.cosim.design.plans.planner import PlanResult
 from flexfmu.cosim.design.scene_files import write_new
 from flexfmu.cosim.engine.errors import InputError

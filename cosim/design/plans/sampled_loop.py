@@ -45,6 +45,20 @@ def joint_motion(joints: Trajectory) -> Trajectory:
     return cast(Trajectory, motion)
 
 
+def completed(run: Run, what: str) -> Run:
+    """A run that has reached its end.
+
+    Raises:
+        ResultsError: it failed.
+        KeyboardInterrupt: after Ctrl-C, which ends a run early.
+    """
+    if run.outcome is Outcome.INTERRUPTED:
+        raise KeyboardInterrupt
+    if not run.completed:
+        raise ResultsError(f"{what}: {run.message}")
+    return run
+
+
 def loop_run(scene: Scene, joints: Trajectory, dwell: float = 0.0) -> Run:
     """The run of joint references with the controllers of a scene.
 
@@ -61,11 +75,7 @@ def loop_run(scene: Scene, joints: Trajectory, dwell: float = 0.0) -> Run:
     changes = {"shaper": [], "trajectory.dwell": max(scene.trajectory.dwell, dwell)}
     loop = own_loop(scene.replace(changes), joint_motion(joints))
     run = PreparedScene(loop.motion.scene, loop=loop).run()
-    if run.outcome is Outcome.INTERRUPTED:
-        raise KeyboardInterrupt
-    if not run.completed:
-        raise ResultsError(f"the motion with the controllers of scene {scene.name}: {run.message}")
-    return run
+    return completed(run, f"the motion with the controllers of scene {scene.name}")
 
 
 def with_learned_torques(scene: Scene, joints: Trajectory, dwell: float = 0.0) -> Scene:
