@@ -348,10 +348,13 @@ class Judge:
         if candidate.ways:
             assessment = self._of_cycle(self.of_ways(candidate, given=given), candidate)
         else:
-            prepared, found = candidate.prepared(), list[Peaks]()
+            prepared, found, joints = candidate.prepared(), list[Peaks](), candidate.joints
+            # what all robots have in common
+            rates = zip(RATES, peak_rates(joints)[:, np.newaxis], strict=True)
+            common = {"time": [joints.duration], **dict(rates)}
             for each in self.variations:
                 run = completed(prepared.run(each.changes(self.goals.scene)), f"{candidate.label} with {each}")
-                found.append(self._peaks(run, each))
+                found.append(self._peaks(run, each, common))
             assessment = Assessment(candidate, tuple(found))
         uses = [*self._uses(assessment, assessment if given else self.given)]
         if self.goals.loop is not None:
@@ -366,7 +369,7 @@ class Judge:
         found = float(run.metrics["residual_vibration_amplitude"])
         return Limit("loop_residual", self.goals.wishes.residual, "m", rounding=MET).used(found, where)
 
-    def _peaks(self, run: Run, variation: Variation) -> Peaks:
+    def _peaks(self, run: Run, variation: Variation, common: Mapping[str, Any]) -> Peaks:
         metrics, recording, end = run.metrics, run.recording, run.plan.duration
         time, torques = recording.time, [recording[f"joint{joint}.torque"].values for joint in (1, 2)]
         points = np.column_stack([recording[f"end_effector.position.{axis}"].values for axis in "xy"])
@@ -391,7 +394,7 @@ class Judge:
             return np.asarray(np.sqrt((mean**2 * (end + dwell) + more / np.square(unit)) / (end + pause)))
 
         values: dict[str, Any] = {
-            "time": [run.plan.joints.duration],
+            **common,
             "torque": of_joints("peak_torque"),
             "rms_torque": rms(of_joints("rms_torque"), 1.0),
             "power": np.maximum(of_joints("peak_power"), of_joints("peak_regenerated_power")),
@@ -400,7 +403,6 @@ class Judge:
             **_both_powers(recording, run.plan.joints),
             "off_path": [off.max()],
             "clearance": [depth.max()],
-            **dict(zip(RATES, peak_rates(run.plan.joints)[:, np.newaxis], strict=True)),
         }
         if loads := motor_loads(run):
             use = [{margin.name: margin.use for margin in load.margins} for load in loads]
