@@ -493,8 +493,7 @@ def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: Sh
             f"scene {goals.scene.name} has a motion from a table, and references for the flexible robot follow a path"
         )
     # the path alone
-    once = ONCE if goals.scene.trajectory.way_back != "none" else {}
-    scene = goals.scene.replace({"shaper": [], "trajectory.references": None, **once})
+    scene = goals.scene.replace({"shaper": [], "trajectory.references": None, **ONCE})
     show("references for the flexible robot on the given path", None)
     coefficients, *more, note = judge.journal.kept(("flexible",), Corrected, lambda: _references(goals, scene))
     motors = JointSpline(np.array(coefficients), *more)
@@ -506,9 +505,7 @@ def _references(goals: Goals, scene: Scene) -> tuple[Any, ...]:
     """References for the scene of the path alone, as a journal has them."""
     # the given motion's torques for each payload of the correction
     given, variations = Judge(goals, CORRECTED_FOR).given, goals.variations(CORRECTED_FOR)
-    usual = {each.variation: each.values["torque"] for each in given.peaks}
-    nominal = min(usual, key=lambda each: abs(each.payload - goals.scene.payload.mass))
-    torques = np.array([usual.get(each, usual[nominal]) for each in variations])
+    torques = np.array([each.values["torque"] for each in given.peaks])
     motion = plan_rigid(scene.replace({"trajectory.duration": goals.given.once.duration - 2.0 * LEAD}))
     motors = flexible_references(scene, motion.task, motion.joints).motors
     # references that hold over the bands
