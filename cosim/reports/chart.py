@@ -176,8 +176,9 @@ def _plain(panel: Panel, x_label: str) -> str:
         10.0**v if name in panel.logarithmic else v
         for name, v in zip("xxyy", np.stack([low, high]).T.ravel(), strict=True)
     ]
-    names = "".join(f", {each}" for each in dict.fromkeys(each.label for each in curves if each.label))
-    said = f"{x_label}: {ends[0]:.4g} to {ends[1]:.4g}; {panel.label}: {ends[2]:.4g} to {ends[3]:.4g}{names}"
+    said = f"{x_label}: {ends[0]:.4g} to {ends[1]:.4g}; {panel.label}: {ends[2]:.4g} to {ends[3]:.4g}"
+    names = {each.label: each.colour for each in curves if each.label}
+    key = "".join(f', <b style="color:{colour}">{escape(name)}</b>' for name, colour in names.items())
     scale = np.array([300.0, 300.0 if panel.is_to_scale else 120.0]) / (size[0] if panel.is_to_scale else size)
     lines = "".join(
         f'<polyline points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in scaled[np.isfinite(scaled).all(axis=1)].tolist())}" '
@@ -187,7 +188,7 @@ def _plain(panel: Panel, x_label: str) -> str:
     )
     shape = "" if panel.is_to_scale else ' preserveAspectRatio="none"'
     box = f'viewBox="0 0 300 {scale[1] * size[1]:.0f}"{shape}'
-    return f'<svg class="plain" {box} role="img" aria-label="{escape(said)}">{lines}</svg><p class="caption">{escape(said)}</p>'
+    return f'<svg class="plain" {box} role="img" aria-label="{escape(said)}">{lines}</svg><p class="caption">{escape(said)}{key}</p>'
 
 
 def thinned(y: RealArray, most: int = MOST_POINTS) -> NDArray[np.intp]:

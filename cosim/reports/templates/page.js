@@ -252,7 +252,8 @@ const page = (() => {
     // values at x with their units beside the names of the curves, or in the sentence where these have no names, and a line through all panels
     read(x) {
       this.place = x;
-      const said = (c) => (c.x.length ? `${short(c.y[nearest(c.x, x)], 5)} ${c.unit}`.trim() : "–");
+      const near = 1e-3 * (this.limits[1] - this.limits[0]), isThere = (c) => c.x.length && x > c.x[0] - near && x < c.x[c.x.length - 1] + near;
+      const said = (c) => (isThere(c) ? `${short(c.y[nearest(c.x, x)], 5)} ${c.unit}`.trim() : "–");
       for (const { curves, value } of this.keys) value.textContent = curves.map(said).join(", ");
       this.say(`${this.x.replace(/ \[.*/, "")} ${short(x, 4)} ${unitOf(this.x)}${this.keys.length ? "" : ` · ${said(this.panels[0].curves[0])}`}`);
       for (const panel of this.panels) panel.mark(x);
