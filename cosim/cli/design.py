@@ -142,7 +142,7 @@ def response(
     from flexfmu.cosim.design.response.estimate import estimate_response
     from flexfmu.cosim.design.response.response import FrequencyResponse
     from flexfmu.cosim.engine.files import replacing, write_whole
-    from flexfmu.cosim.engine.measured import parse_mapping
+    from flexfmu.cosim.engine.measured import parse_interval, parse_mapping
     from flexfmu.cosim.reports.terminal import titled_table
 
     if not inputs and not outputs and len(logs) == 1:
@@ -152,8 +152,8 @@ def response(
     else:
         found = estimate_response(
             logs, inputs, outputs, period=period, segment=segment, reference=reference or (), held=not continuous,
-            between=_interval("between", between), band=_interval("band", band),
-            mapping=dict(map(parse_mapping, mapping or ())),
+            between=None if between is None else parse_interval("--between", between),
+            band=None if band is None else parse_interval("--band", band), mapping=dict(map(parse_mapping, mapping or ())),
         )  # fmt: skip
     fitted, files = found.modes(modes), list[Path]()
     if out is not None:
@@ -172,17 +172,6 @@ def response(
     misfit = f"residuals of the fit: {fitted.misfit:.3g} of the response's {'magnitude' if found.standard_error is None else 'standard errors'}"
     console.print_result(json, data | {"files": [str(path) for path in files]}, repr(found), table, misfit, *where)
     return 0
-
-
-def _interval(name: str, text: str | None) -> tuple[float, float] | None:
-    """The two numbers of an option, if it is given."""
-    if text is None:
-        return None
-    try:
-        low, high = map(float, text.split(":"))
-    except ValueError:
-        raise InputError(f"--{name} takes FROM:TO, two numbers, got {text!r}") from None
-    return low, high
 
 
 def effects(
@@ -288,107 +277,69 @@ def identify(
         out (DIR): Write identified.html, identified.json and draws.csv, cases for `flexfmu sweep`, there. Default: nowhere.
     """
     from flexfmu.cosim.design.gains.goals import split
+    from flexfmu.cosim.design.identification.experiments import TORQUES, ProposedMotions, propose_motions
+    from flexfmu.cosim.design.identification.result import Identification
     from flexfmu.cosim.design.identification.study import (
+        Estimation,
+        free_parameters,
         identify_fmu,
         identify_scene,
         parse_log,
         parse_prior,
-        parse_segment,
         parse_sensors,
     )
     from flexfmu.cosim.design.scene_files import write_changed
-    from flexfmu.cosim.engine.measured import parse_mapping
+    from flexfmu.cosim.engine.measured import parse_interval, parse_mapping
     from flexfmu.cosim.reports.terminal import as_terminal_table
 
-    if design:
-        return _design(
-            scene, logs, split(free or ()), sensors, criterion, signal, noise, sample_time, output, settings, json
-        )
-    if not logs:
-        raise InputError("there is no log: name at least one, or take --design")
-    sources = [parse_log(each) for each in logs]
-    shared: dict[str, Any] = {
-        "mapping": dict(map(parse_mapping, mapping or ())),
-        "priors": dict(map(parse_prior, split(prior or ()))),
-        "loss": loss,
-        "starts": starts,
-        "seed": seed,
-        "segments": [parse_segment(each) for each in segment or ()],
-        "strict": strict,
-    }
-    console.check_scene_file(output)
-    if out is not None:
-        console.prepared_folder(out)
-    if scene.endswith(".fmu"):
-        if settings or output is not None or explain:
-            raise InputError(f"{scene} is an FMU: --set, --explain and -o are for scenes")
-        with console.progress() as show:
-            known = parse_sensors(sensors, ())
-            found = identify_fmu(Path(scene), sources, split(free or ()), sensors=known, step=step, show=show, **shared)
-    else:
-        if step is not None:
-            raise InputError("--step is for FMUs: a scene has its own, --set cosimulation.step=1e-4 for example")
-        robot = console.load_resolved(scene, settings)
-        with console.progress() as show:
-            known = parse_sensors(sensors, ("delay", "offset"))
-            found = identify_scene(
-                robot, sources, split(free or ()), sensors=known, explain=explain, show=show, **shared
-            )
-        if output is not None:
-            changes = dict(map(parse_setting, settings or ()))
-            write_changed(scene, output, {**changes, **found.changes})
-    if out is not None:
-        found.write(out)
-    where = [f"files: {each}" for each in (output, out) if each is not None]
-    console.print_result(json, found.as_data(), *map(as_terminal_table, found.tables()), *found.messages, *where)
-    return 0 if found.is_explained else console.FAILURE
-
-
-def _design(
-    scene: str,
-    logs: Sequence[str] | None,
-    free: Sequence[str],
-    sensors: str | None,
-    criterion: Literal["D", "A"],
-    signals: Sequence[str] | None,
-    noise: float,
-    sample_time: float,
-    output: Path | None,
-    settings: list[str] | None,
-    json: bool,
-) -> int:
-    """Propose a motion."""
-    from flexfmu.cosim.design.identification.experiments import TORQUES, propose_motions
-    from flexfmu.cosim.design.identification.study import free_parameters, parse_sensors
-    from flexfmu.cosim.design.scene_files import write_changed
-    from flexfmu.cosim.reports.terminal import as_terminal_table
-
-    if logs or scene.endswith(".fmu"):
+    # usage
+    is_fmu = scene.endswith(".fmu")
+    if design and (logs or is_fmu):
         raise InputError("--design takes a scene and no log")
+    if not (design or logs):
+        raise InputError("there is no log: name at least one, or take --design")
+    if is_fmu and (settings or output is not None or explain):
+        raise InputError(f"{scene} is an FMU: --set, --explain and -o are for scenes")
+    if step is not None and not is_fmu:
+        raise InputError("--step is for FMUs: a scene has its own, --set cosimulation.step=1e-4 for example")
+    sources, parameters = [parse_log(each) for each in logs or ()], split(free or ())
+    unknown = parse_sensors(sensors, () if is_fmu else ("delay", "offset"))
+    meaning, priors = dict(map(parse_mapping, mapping or ())), dict(map(parse_prior, split(prior or ())))
+    segments = [parse_interval("--segment", each) for each in segment or ()]
     console.check_scene_file(output)
-    robot = console.load_resolved(scene, settings)
+    if out is not None and not design:
+        console.prepared_folder(out)
+    # estimate, or propose a motion
+    robot = None if is_fmu else console.load_resolved(scene, settings)
+    found: Identification | ProposedMotions
     with console.progress() as show:
-        base, parameters = free_parameters(robot, free, {}, show)
-        found = propose_motions(
-            base,
-            parameters,
-            signals=signals or TORQUES,
-            noise=noise,
-            sample_time=sample_time,
-            sensors=parse_sensors(sensors, ("delay", "offset")),
-            criterion=criterion,
-            show=show,
-        )
+        wanted = Estimation(parameters, unknown, meaning, priors, loss, starts, seed, segments, strict, show)
+        if robot is None:
+            found = identify_fmu(Path(scene), sources, wanted, step)
+        elif design:
+            found = propose_motions(
+                *free_parameters(robot, parameters, {}, show),
+                signals=signal or TORQUES,
+                noise=noise,
+                sample_time=sample_time,
+                sensors=unknown,
+                criterion=criterion,
+                show=show,
+            )
+        else:
+            found = identify_scene(robot, sources, wanted, explain)
+    files = [each for each in (output, out if isinstance(found, Identification) else None) if each is not None]
+    shown: list[RenderableType]
+    if isinstance(found, Identification):
+        changes, shown = found.changes, [*map(as_terminal_table, found.tables()), *found.messages]
+        if out is not None:
+            found.write(out)
+    else:
+        changes, shown = found.best.changes, [as_terminal_table(found.table()), repr(found)]
     if output is not None:
-        write_changed(scene, output, {**dict(map(parse_setting, settings or ())), **found.best.changes})
-    console.print_result(
-        json,
-        found.as_data(),
-        as_terminal_table(found.table()),
-        repr(found),
-        *([] if output is None else [f"files: {output}"]),
-    )
-    return 0
+        write_changed(scene, output, {**dict(map(parse_setting, settings or ())), **changes})
+    console.print_result(json, found.as_data(), *shown, *(f"files: {each}" for each in files))
+    return console.FAILURE if isinstance(found, Identification) and not found.is_explained else 0
 
 
 def tune(

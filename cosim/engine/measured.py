@@ -60,6 +60,21 @@ def parse_mapping(text: str) -> tuple[str, Mapped]:
     return column.strip(), as_mapped(meaning)
 
 
+def parse_interval(option: str, text: str) -> tuple[float, float]:
+    """Return both ends of an option's ``FROM:TO``.
+
+    Raises:
+        InputError: the text has another form, or they don't ascend.
+    """
+    try:
+        begin, end = map(float, text.split(":"))
+    except ValueError:
+        begin = end = math.nan
+    if not -math.inf < begin < end < math.inf:
+        raise InputError(f"{option} takes FROM:TO, two ascending numbers, 0.1:0.6 for example, got {text!r}")
+    return begin, end
+
+
 def as_mapped(text: str) -> Mapped:
     """Return the meaning of a column from ``signal*factor+offset``, of which factor and offset may be left out.
 

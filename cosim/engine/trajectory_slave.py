@@ -51,14 +51,14 @@ REFERENCES = (("position", ""), ("velocity", "/s"), ("acceleration", "/s2"))
 
 
 @dataclass(frozen=True)
-class _Table:
-    """References at communication points (N,) [s]: polynomials of the next steps, and left limits (N, orders, variables)."""
+class PreparedTable:
+    """Outputs at communication points (N,) [s]: polynomials of the next steps, and left limits (N, orders, variables)."""
 
     times: RealArray
     polynomials: RealArray
     ends: RealArray
 
-    def at(self, times: RealArray) -> _Table:
+    def at(self, times: RealArray) -> PreparedTable:
         """The table for the same points some cycles later.
 
         Lengths of steps differ by the rounding of late times: Hermite polynomials follow to first order, so that they
@@ -70,7 +70,7 @@ class _Table:
         upper = self._later[:, END_ORDER + 1 :]
         np.multiply(self._slopes, change, out=upper)
         upper += self.polynomials[:, END_ORDER + 1 :]
-        return _Table(times, self._later, self.ends)
+        return PreparedTable(times, self._later, self.ends)
 
     @cached_property
     def _later(self) -> RealArray:
@@ -93,7 +93,60 @@ class _Table:
         return slopes
 
 
-class TrajectorySlave:
+class PreparedOutputs:
+    """What slaves without inputs have in common whose outputs are known at the prepared communication points.
+
+    Attributes:
+        name: name of the slave.
+    """
+
+    name: str
+    _table: PreparedTable
+    _now: RealArray
+    _next = 0
+
+    @property
+    def announced(self) -> RealArray:
+        """Derivatives (N, orders, variables), from order 0, of the polynomials that begin at the prepared points."""
+        return self._table.polynomials
+
+    @property
+    def ended(self) -> RealArray:
+        """Left limits (N, orders, variables), from order 0, at the prepared points."""
+        return self._table.ends
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        """Go to the left limits at the start."""
+        self._begin()
+
+    def announce(self, time: float) -> None:
+        """Announce the polynomials of the step that begins at ``time`` [s], the next communication point."""
+        self._now = self._table.polynomials[self._next]
+
+    def step(self, time: float, step: float) -> None:
+        """Go to the left limits at the end of the step."""
+        self._next += 1
+        self._now = self._table.ends[self._next]
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        """Raise `InputError`: there are no inputs."""
+        raise InputError(f"{self.name} has no inputs")
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        """Write current values (n,)."""
+        self._now[0].take(indices, None, values, "clip")
+
+    def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        """Write current derivatives (orders, n), row k - 1 for order k."""
+        self._now[1 : derivatives.shape[0] + 1].take(indices, 1, derivatives, "clip")
+
+    def _begin(self) -> None:
+        """Go to the left limits at the first communication point."""
+        self._next = 0
+        self._now = self._table.ends[0]
+
+
+class TrajectorySlave(PreparedOutputs):
     """Streams ``<axis>.reference.position``, ``.velocity`` and ``.acceleration`` of a trajectory.
 
     Over a communication step each reference is a polynomial: for order 9 the Hermite polynomial through value and four
@@ -142,8 +195,8 @@ class TrajectorySlave:
         self.__dict__.pop("_tabulated", None)
         # the current points; their table and others; the next point, and the current values
         self._times = self._now = np.empty(0)
-        self._table = _Table(self._times, self._times, self._times)
-        self._tables: list[_Table] = []
+        self._table = PreparedTable(self._times, self._times, self._times)
+        self._tables: list[PreparedTable] = []
         self._next = 0
         self._seen: dict[float, tuple[RealArray, RealArray]] = {}
 
@@ -156,16 +209,6 @@ class TrajectorySlave:
     def feedthrough(self) -> dict[str, tuple[str, ...]]:
         """No output depends on an input: there are no inputs."""
         return {variable.name: () for variable in self.variables}
-
-    @property
-    def announced(self) -> RealArray:
-        """Derivatives (N, orders, variables), from order 0, of the polynomials that begin at the prepared points."""
-        return self._table.polynomials
-
-    @property
-    def ended(self) -> RealArray:
-        """Left limits (N, orders, variables), from order 0, at the prepared points."""
-        return self._table.ends
 
     def prepare(self, times: RealArray) -> None:
         """Calculate the polynomials of all steps between the points (N,) [s]; go to the left limits at the first point.
@@ -184,7 +227,7 @@ class TrajectorySlave:
         self._table, self._times = known if is_same else known.at(times), times
         self._begin()
 
-    def _holds(self, table: _Table, times: RealArray) -> bool:
+    def _holds(self, table: PreparedTable, times: RealArray) -> bool:
         """Whether a table is that of these points, or of the same points some cycles before, but for rounding errors."""
         if table.times is times or table.times.size != times.size:
             return table.times is times
@@ -201,7 +244,7 @@ class TrajectorySlave:
         """Whether the points lie after the motion, by more than a step: all references stay what they are."""
         return bool(times[0] - float(np.diff(times).max()) > self.trajectory.duration)
 
-    def _calculated(self, times: RealArray) -> _Table:
+    def _calculated(self, times: RealArray) -> PreparedTable:
         """The polynomials of all steps between these points, and the left limits."""
         near = COINCIDENT * float(np.diff(times).max())
         if times.size <= FEW and self._times.size:
@@ -209,13 +252,13 @@ class TrajectorySlave:
         else:
             begins, ends = self._limits(self.trajectory, times, near)
         if not self.ends_exactly:
-            return _Table(times, begins, ends)
+            return PreparedTable(times, begins, ends)
         # Hermite polynomials (N, 10, variables) through the limits at both ends; a Taylor polynomial at the last point
         polynomials = np.zeros((times.size, HERMITE_ORDER + 1, len(self.variables)))
         polynomials[-1, : END_ORDER + 1] = begins[-1]
         beginnings, endings = begins[:-1].swapaxes(0, 1), ends[1:].swapaxes(0, 1)
         polynomials[:-1] = hermite_derivatives(beginnings, endings, np.diff(times)[:, None]).swapaxes(0, 1)
-        return _Table(times, polynomials, ends)
+        return PreparedTable(times, polynomials, ends)
 
     def _looked_up(self, times: RealArray, near: float) -> tuple[RealArray, RealArray]:
         """Return right and left limits at a few points, kept for the next calls: step control repeats points.
@@ -252,36 +295,6 @@ class TrajectorySlave:
         begins, ends = both[: times.size], both[: times.size, : END_ORDER + 1].copy()
         ends[jumps] = both[times.size :, : END_ORDER + 1]
         return begins, ends
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        """Go to the left limits at the start."""
-        self._begin()
-
-    def announce(self, time: float) -> None:
-        """Announce the polynomials of the step that begins at ``time`` [s], the next communication point."""
-        self._now = self._table.polynomials[self._next]
-
-    def step(self, time: float, step: float) -> None:
-        """Go to the left limits at the end of the step."""
-        self._next += 1
-        self._now = self._table.ends[self._next]
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        """Raise `InputError`: there are no inputs."""
-        raise InputError(f"{self.name} has no inputs")
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        """Write current references into ``values`` (n,)."""
-        self._now[0].take(indices, None, values, "clip")
-
-    def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
-        """Write derivatives of current references into ``derivatives`` (orders, n), row k - 1 for order k."""
-        self._now[1 : derivatives.shape[0] + 1].take(indices, 1, derivatives, "clip")
-
-    def _begin(self) -> None:
-        """Go to the left limits at the first communication point."""
-        self._next = 0
-        self._now = self._table.ends[0]
 
     @cached_property
     def _tabulated(self) -> Trajectory:

@@ -103,12 +103,8 @@ def parameters_for(scene: Scene, available: Collection[str]) -> dict[str, float]
     return {name: each.value for name, each in known.items() if name in available}
 
 
-def scene_with_parameters(scene: Scene, parameters: Mapping[str, float]) -> Scene:
-    """The scene with these values of FMU parameters; the start point and parameters unknown to scenes are ignored.
-
-    Raises:
-        SceneError: a value is out of range.
-    """
+def scene_changes(scene: Scene, parameters: Mapping[str, float]) -> dict[str, Any]:
+    """Key of the scene → value by these values of FMU parameters; the start point and parameters unknown to scenes are ignored."""
     known = scene_values(scene)
     changes: dict[str, Any] = {}
     for name, value in parameters.items():
@@ -121,7 +117,16 @@ def scene_with_parameters(scene: Scene, parameters: Mapping[str, float]) -> Scen
             vector["xy".index(name[-1])] = value
         else:
             changes[key] = value
-    return scene.replace(changes) if changes else scene
+    return changes
+
+
+def scene_with_parameters(scene: Scene, parameters: Mapping[str, float]) -> Scene:
+    """The scene with the values of `scene_changes`.
+
+    Raises:
+        SceneError: a value is out of range.
+    """
+    return scene.replace(changes) if (changes := scene_changes(scene, parameters)) else scene
 
 
 def holding_torques(scene: Scene) -> Mapping[str, float]:

@@ -109,6 +109,9 @@ DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s2"}
 SAME_ANGLE, SAME_PLACE = 1e-9, 1e-9
 """Joint angles [rad] and places [m] that differ by less are the same."""
 
+PLANNED_WITH = ("base_half_distance", "proximal.length", "distal.length")
+"""Parameters of the robot's FMU that its motion depends on as well, keys of the section ``mechanism``."""
+
 POSES = 401
 """Number of poses at which a motion is examined."""
 

@@ -300,50 +300,33 @@ def identify(
         BuildError: the FMU can't be built.
         ResultsError: a simulation failed, or a file can't be written.
     """
-    from flexfmu.cosim.design.identification.study import LogSource, identify_fmu, identify_scene
+    from flexfmu.cosim.design.identification.study import Estimation, LogSource, identify_fmu, identify_scene
     from flexfmu.cosim.engine.measured import as_mapped
+    from flexfmu.cosim.engine.showing import quiet
 
     several = logs if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
     sources = [LogSource(*each) if isinstance(each, tuple) else LogSource(each, {}) for each in several]
-    meaning = {column: as_mapped(text) for column, text in (mapping or {}).items()}
-    show = progress or (lambda text, fraction: None)
-    if isinstance(model, str | Path) and Path(model).suffix == ".fmu":
-        found = identify_fmu(
-            Path(model),
-            sources,
-            free,
-            mapping=meaning,
-            priors=priors,
-            sensors=sensors or (),
-            loss=loss,
-            starts=starts,
-            seed=seed,
-            segments=segments,
-            step=step,
-            tolerance=tolerance,
-            strict=strict,
-            show=show,
+    fmu = Path(model) if isinstance(model, str | Path) and Path(model).suffix == ".fmu" else None
+    wanted = Estimation(
+        free,
+        (("delay", "offset") if fmu is None else ()) if sensors is None else sensors,
+        {column: as_mapped(text) for column, text in (mapping or {}).items()},
+        priors or {},
+        loss,
+        starts,
+        seed,
+        segments,
+        strict,
+        progress or quiet,
+    )
+    if fmu is not None:
+        found = identify_fmu(fmu, sources, wanted, step, tolerance)
+    elif step is not None or tolerance is not None:
+        raise InputError(
+            "step and tolerance are those of an FMU: a scene has its own, cosimulation.step and cosimulation.tolerance"
         )
     else:
-        if step is not None or tolerance is not None:
-            raise InputError(
-                "step and tolerance are those of an FMU: a scene has its own, cosimulation.step and cosimulation.tolerance"
-            )
-        found = identify_scene(
-            resolved(as_scene(model)),
-            sources,
-            free,
-            mapping=meaning,
-            priors=priors,
-            sensors=("delay", "offset") if sensors is None else sensors,
-            loss=loss,
-            starts=starts,
-            seed=seed,
-            segments=segments,
-            explain=explain,
-            strict=strict,
-            show=show,
-        )
+        found = identify_scene(resolved(as_scene(model)), sources, wanted, explain)
     if out is not None:
         found.write(out)
     return found

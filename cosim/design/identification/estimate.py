@@ -68,16 +68,17 @@ NUISANCES = ("delay", "offset", "gain")
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A parameter to be estimated.
+    """An unknown: a parameter to be estimated, or a delay, an offset or a gain of sensors.
 
     Attributes:
-        name: of the FMU's parameter.
+        name: of the FMU's parameter, or what it is of which sensor.
         unit: in SI.
         start: first value.
         low, high: bounds.
         prior: mean and standard deviation of what is known beforehand; None for nothing.
         drawn: between which other first values are drawn.
         experiment: number of the one that it belongs to alone, as where the robot stands first; None for a parameter of the model.
+        scale: what counts as a large change; 0 for what follows from first value and bounds.
     """
 
     name: str
@@ -88,12 +89,13 @@ class FreeParameter:
     prior: tuple[float, float] | None = None
     drawn: tuple[float, float] = (0.0, 0.0)
     experiment: int | None = None
+    scale: float = 0.0
 
     @property
     def size(self) -> float:
         """What counts as a large change."""
-        if self.start:
-            return abs(self.start)
+        if self.scale or self.start:
+            return self.scale or abs(self.start)
         return self.high - self.low if self.high - self.low < inf else 1.0
 
 
@@ -162,19 +164,14 @@ class Problem:
     ) -> None:
         self.experiments, self.free, self._loss, self._show = tuple(experiments), tuple(free), loss, show
         self.runs = 0
-        starts, names, sizes, places = list[float](), list[str](), list[float](), dict[str, int]()
+        rows, sensors = list[ResidualRow](), dict[str, FreeParameter]()
 
-        def place(what: str, unknown: Collection[str], name: str, start: float, size: float) -> int | None:
-            if what not in unknown:
+        def place(unknown: Collection[str], of: str, unit: str, start: float, size: float, low: float) -> int | None:
+            if of.partition(" ")[0] not in unknown:
                 return None
-            if name not in places:
-                places[name] = len(self.free) + len(starts)
-                starts.append(start)
-                names.append(name)
-                sizes.append(size)
-            return places[name]
+            sensors.setdefault(of, FreeParameter(of, unit, start, low, scale=size))
+            return len(self.free) + [*sensors].index(of)
 
-        rows = list[ResidualRow]()
         for number, each in enumerate(self.experiments):
             for channel in each.channels:
                 unknown = () if each.is_table else {*nuisances} - ({"offset"} if channel.part is not None else set())
@@ -183,33 +180,22 @@ class Problem:
                     if each.is_table or channel.part is not None
                     else _covered(channel, delays[number], each.stop_time)
                 )
-                of = f"{channel.name} of {each.name}"
-                rows.append(
-                    ResidualRow(
-                        number,
-                        covered,
-                        place(
-                            "delay", unknown, f"delay of {channel.kind}s of {each.name}", delays[number], channel.step
-                        ),
-                        place("offset", unknown, f"offset of {of}", 0.0, float(np.std(channel.values)) or 1.0),
-                        place("gain", unknown, f"gain of {channel.sensor}", 1.0, 1.0),
-                    )
-                )
+                delay = f"delay of {channel.kind}s of {each.name}", "s", delays[number], channel.step, -inf
+                spread = float(np.std(channel.values)) or 1.0
+                offset = f"offset of {channel.name} of {each.name}", channel.unit, 0.0, spread, -inf
+                gain = f"gain of {channel.sensor}", "1", 1.0, 1.0, 0.0
+                rows.append(ResidualRow(number, covered, *(place(unknown, *what) for what in (delay, offset, gain))))
         self.rows, self._delays = tuple(rows), tuple(delays)
         self.shared = sum(each.experiment is None for each in self.free)
+        self.unknowns = (*self.free, *sensors.values())
         given = self.samples + sum(each.prior is not None for each in self.free)
-        if given < (count := len(self.free) + len(starts)) + (not self.is_certain):
+        if given < (count := len(self.unknowns)) + (not self.is_certain):
             raise InputError(
                 f"{given} values can't tell {count} unknowns{'' if self.is_certain else ' and how accurate they are'}: give more, fewer "
                 "--free and --sensors, or standard errors of modes"
             )
-        self.nuisances = tuple(names)
-        self.start = np.array([*(each.start for each in self.free), *starts])
-        self.sizes = np.array([*(each.size for each in self.free), *sizes])
-        self._low = np.array(
-            [*(each.low for each in self.free), *(0.0 if n.startswith("gain") else -inf for n in names)]
-        )
-        self._high = np.array([*(each.high for each in self.free), *(inf for _ in names)])
+        self.start, self.sizes = (np.array([getattr(each, key) for each in self.unknowns]) for key in ("start", "size"))
+        self._low, self._high = (np.array([getattr(each, key) for each in self.unknowns]) for key in ("low", "high"))
         self._is_together = any(each.is_together for each in self.experiments)
         self._base: tuple[RealArray, list[Recording]] | None = None
         self._varied: tuple[RealArray, tuple[list[Recording], list[list[Recording]], list[float]]] | None = None
@@ -217,11 +203,10 @@ class Problem:
     @property
     def labels(self) -> list[str]:
         """Names of all unknowns, with the log of those that belong to one."""
-        of = [
+        return [
             f"{p.name} of {self.experiments[p.experiment].name}" if p.experiment is not None else p.name
-            for p in self.free
+            for p in self.unknowns
         ]
-        return [*of, *self.nuisances]
 
     @property
     def samples(self) -> int:
@@ -508,15 +493,11 @@ class Problem:
         """The unknowns within their bounds."""
         return np.clip(unknowns, self._low, self._high)
 
-    def bounds(self, place: int) -> tuple[float, float]:
-        """Bounds of an unknown."""
-        return float(self._low[place]), float(self._high[place])
-
-    def intervals(self, found: Solution, level: float = 0.95) -> tuple[list[tuple[float, float]], list[int]]:
-        """Intervals of all unknowns, and places of those whose profiles aren't parabolas, which are profiled."""
+    def intervals(self, found: Solution) -> tuple[list[tuple[float, float]], list[int]]:
+        """Intervals of 95 % of all unknowns, and places of those whose profiles aren't parabolas, which are profiled."""
         from scipy.special import stdtrit
 
-        quantile = float(stdtrit(self._freedom(found), 0.5 + 0.5 * level))
+        quantile = float(stdtrit(self._freedom(found), 0.975))
         errors = np.sqrt(np.diag(found.covariance))
         ends = [(x - quantile * e, x + quantile * e) for x, e in zip(found.unknowns, errors, strict=True)]
         curved, count = set[int](), len(self.free)
@@ -537,7 +518,7 @@ class Problem:
             for key, (cost, white) in active.items():
                 best, _ = self._corrected(found, white, key[0])
                 ratio = max(best - found.cost, 1e-9 * wanted[key[0]]) / wanted[key[0]]
-                is_bound = limits[key] in self.bounds(key[0]) and ratio < 1.0
+                is_bound = limits[key] in (self._low[key[0]], self._high[key[0]]) and ratio < 1.0
                 if abs(ratio - 1.0) > CURVED and not is_bound:
                     curved.add(key[0])
                 elif cost - best <= CURVED * wanted[key[0]] or is_bound:
@@ -598,20 +579,21 @@ def _covered(channel: Channel, delay: float, stop_time: float) -> Channel:
     return replace(channel, time=channel.time[:last], values=channel.values[:last], pieces=pieces)
 
 
+def information(scaled: RealArray, count: int) -> RealArray:
+    """What scaled derivatives (N, n) tell of the first ``count`` unknowns, the others estimated along (count, count)."""
+    found = scaled.T @ scaled
+    mixed, rest = found[:count, count:], found[count:, count:]
+    return np.asarray(found[:count, :count] - mixed @ np.linalg.pinv(rest, hermitian=True) @ mixed.T)
+
+
 def undetermined(problem: Problem, found: Solution) -> Mapping[int, tuple[int, ...]]:
     """Places of parameters that the data don't determine → those that they can't be told apart from, themselves left out.
 
     In terms of the parameters' sizes, directions whose standard error exceeds `UNKNOWN` are looked at, the worst first; of each the
     parameter with the largest part is named.
     """
-    count = problem.shared
-    scaled = found.jacobian * problem.sizes
-    information = scaled.T @ scaled
-    own, rest = information[:count, :count], information[count:, count:]
-    mixed = information[:count, count:]
-    reduced = own - mixed @ np.linalg.pinv(rest, hermitian=True) @ mixed.T
     noise = max(found.cost / found.freedom, problem.least_variance)
-    values, vectors = np.linalg.eigh(reduced / noise)
+    values, vectors = np.linalg.eigh(information(found.jacobian * problem.sizes, problem.shared) / noise)
     result = dict[int, tuple[int, ...]]()
     for value, vector in zip(values, vectors.T, strict=True):
         if value > 1.0 / UNKNOWN**2:

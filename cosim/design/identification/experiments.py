@@ -7,14 +7,14 @@ the motion with the smallest determinant of the parameters' relative covariance,
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from flexfmu.cosim.design.identification.estimate import FreeParameter, Problem
+from flexfmu.cosim.design.identification.estimate import FreeParameter, Problem, information
 from flexfmu.cosim.design.identification.measurements import Channel, Experiment, SceneSimulation, comparable, parts_of
 from flexfmu.cosim.engine.errors import InputError, suggestion
 from flexfmu.cosim.engine.showing import Rows, ShowProgress, few_lines
@@ -79,6 +79,12 @@ class ProposedMotion:
         ramp = f" {profile['ramp']:g}" if "ramp" in profile else ""
         return f"{profile['kind']}{ramp}, {self.changes['trajectory.duration']:.4g} s, {self.changes['trajectory.width']:.4g} m wide"
 
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What it is, and what it needs of the motors [N.m, rad/s]."""
+        needs = {"torque": self.torque, "speed": self.speed, "allowed": self.is_allowed}
+        return {"motion": self.text, "criterion": self.figure, **needs}
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ProposedMotions(Rows):
@@ -104,12 +110,8 @@ class ProposedMotions(Rows):
         return min((self.own, *(each for each in self.motions if each.is_allowed)), key=lambda each: each.figure)
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row for each motion, the scene's own first: criterion, standard errors, largest torque and velocity, whether limits are kept."""
-        return [
-            {"motion": each.text, "criterion": each.figure, **each.errors}
-            | {"torque": each.torque, "speed": each.speed, "allowed": each.is_allowed}
-            for each in (self.own, *self.motions)
-        ]
+        """A row for each motion, the scene's own first: criterion, largest torque and velocity, whether limits are kept, standard errors."""
+        return [{**each.facts, **each.errors} for each in (self.own, *self.motions)]
 
     def row_units(self) -> Mapping[str, str]:
         """Column → unit."""
@@ -130,20 +132,10 @@ class ProposedMotions(Rows):
         """Plain data in SI units."""
 
         def described(each: ProposedMotion) -> dict[str, Any]:
-            found = {"motion": each.text, "changes": dict(each.changes), "criterion": each.figure}
-            return found | {
-                "standard_errors": dict(each.errors),
-                "torque": each.torque,
-                "speed": each.speed,
-                "allowed": each.is_allowed,
-            }
+            return {**each.facts, "changes": dict(each.changes), "standard_errors": dict(each.errors)}
 
-        return {
-            "scene": self.scene.name,
-            "own": described(self.own),
-            "best": described(self.best),
-            "motions": [*map(described, self.motions)],
-        }
+        own, best = described(self.own), described(self.best)
+        return {"scene": self.scene.name, "own": own, "best": best, "motions": [*map(described, self.motions)]}
 
     def __repr__(self) -> str:
         """Return at most five lines: the best motion and its standard errors."""
@@ -163,9 +155,7 @@ class ProposedMotions(Rows):
                     [each.torque for each in chosen], [each.figure for each in chosen], "o", markersize=3, label=label
                 )
             axes.plot([self.own.torque], [self.own.figure], "s", color="black", label="own motion")
-            axes.set_xlabel("largest torque [N·m]")
-            axes.set_ylabel("criterion")
-            axes.set_yscale("log")
+            axes.set(xlabel="largest torque [N·m]", ylabel="criterion", yscale="log")
             axes.legend(fontsize=8)
         return figure
 
@@ -247,27 +237,18 @@ def propose_motions(
 
     show("the scene's own motion", None)
     own, found = judged({}), list[ProposedMotion]()
-    candidates = [*_candidates(section)]
-    for number, changes in enumerate(candidates):
+    candidates = [*product(PROFILES, DURATIONS, WIDTHS)]
+    for number, (profile, duration, width) in enumerate(candidates):
         show("motions", number / len(candidates))
+        blend = {**section.blend.model_dump(), "width": min(section.blend.width, 0.5 * section.width * width)}
+        sizes = {"duration": section.duration * duration, "width": section.width * width}
+        changes = {f"trajectory.{key}": value for key, value in ({"profile": profile, "blend": blend} | sizes).items()}
         try:
             found.append(judged(changes))
         except (TrajectoryError, SceneError, InputError):
             continue  # motions that the robot can't make
     found.sort(key=lambda each: (not each.is_allowed, each.figure))
     return ProposedMotions(scene, own, tuple(found), {each.name: each.unit for each in parameters})
-
-
-def _candidates(section: TrajectorySection) -> Iterator[dict[str, Any]]:
-    """Changes of the scene for each motion."""
-    blend = section.blend.model_dump()
-    for profile, duration, width in product(PROFILES, DURATIONS, WIDTHS):
-        yield {
-            "trajectory.profile": profile,
-            "trajectory.duration": section.duration * duration,
-            "trajectory.width": section.width * width,
-            "trajectory.blend": {**blend, "width": min(blend["width"], 0.5 * section.width * width)},
-        }
 
 
 def _limits(scene: Scene, torque: float, speed: float) -> list[float]:
@@ -283,9 +264,7 @@ def _limits(scene: Scene, torque: float, speed: float) -> list[float]:
 
 def _expected(scaled: RealArray, count: int, criterion: Criterion) -> tuple[RealArray, float]:
     """Relative standard errors of the first ``count`` unknowns, and the criterion."""
-    information = scaled.T @ scaled
-    own, mixed, rest = information[:count, :count], information[:count, count:], information[count:, count:]
-    values, vectors = np.linalg.eigh(own - mixed @ np.linalg.pinv(rest, hermitian=True) @ mixed.T)
+    values, vectors = np.linalg.eigh(information(scaled, count))
     with np.errstate(divide="ignore"):
         spread = np.where(values > 1e-12 * max(float(values[-1]), 1e-300), 1.0 / np.maximum(values, 1e-300), np.inf)
         errors = np.sqrt(np.where(np.abs(vectors) > 1e-9, vectors**2 * spread, 0.0).sum(axis=1))

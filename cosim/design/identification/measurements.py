@@ -31,8 +31,9 @@ from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.measured import LEAST, Log, Mapped, TimedValues, estimate_delay, read_log
 from flexfmu.cosim.engine.results import Column, Recording, Selection
 from flexfmu.cosim.engine.showing import UNITS
-from flexfmu.cosim.engine.slave import Indices, RealArray, Slave, SlaveVariable
-from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.engine.slave import RealArray, Slave, SlaveVariable
+from flexfmu.cosim.engine.trajectory_slave import PreparedOutputs, PreparedTable
+from flexfmu.cosim.experiment.planning import PLANNED_WITH, plan
 from flexfmu.cosim.experiment.scene_loop import Loop
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.many.variants import NotTogetherError, SideBySide, run_variants
@@ -210,7 +211,7 @@ class Experiment:
         return not self.is_table and self.channels[0].part is not None
 
 
-class LoggedSignals:
+class LoggedSignals(PreparedOutputs):
     """Signals of a log as outputs of a slave: a cubic spline, whose values and slopes at communication points are met exactly.
 
     Args:
@@ -232,8 +233,7 @@ class LoggedSignals:
         self.noise = np.array([noise_of(each) for each in values])
         self.disturb(None)
         self.variables = tuple(SlaveVariable(each, "output", unit) for each, unit in units.items())
-        self._next, self._table = 0, np.zeros((1, 4, len(values)))
-        self._now = self._table[0]
+        self.prepare(time[:1])
 
     def disturb(self, rng: np.random.Generator | None) -> None:
         """Add as much noise again in the next runs; None for no more."""
@@ -250,37 +250,9 @@ class LoggedSignals:
         found[:2] = known
         if times.size > 1:
             found[:, :, :-1] = hermite_derivatives(known[..., :-1], known[..., 1:], np.diff(times))
-        self._table, self._next = np.ascontiguousarray(found.transpose(2, 0, 1)), 0
-        self._now = self._table[0]
-
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        """Go to the first communication point."""
-        self._next, self._now = 0, self._table[0]
-
-    def announce(self, time: float) -> None:
-        """Announce the step that begins at the present communication point."""
-        self._now = self._table[self._next]
-
-    def step(self, time: float, step: float) -> None:
-        """Go to the end of the step."""
-        self._next += 1
-        self._now = self._table[self._next]
-
-    def set(self, indices: Indices, values: RealArray) -> None:
-        """Raise `InputError`: there are no inputs."""
-        raise InputError(f"{self.name} has no inputs")
-
-    def get(self, indices: Indices, values: RealArray) -> None:
-        """Write values (n,)."""
-        self._now[0].take(indices, None, values, "clip")
-
-    def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
-        """Write derivatives (orders, n)."""
-        self._now[1 : len(derivatives) + 1].take(indices, 1, derivatives, "clip")
-
-
-PLANNED_WITH = ("base_half_distance", "proximal.length", "distal.length")
-"""Parameters of the FMU that the motion depends on as well."""
+        polynomials = np.ascontiguousarray(found.transpose(2, 0, 1))
+        self._table = PreparedTable(times, polynomials, polynomials)
+        self._begin()
 
 
 def by_motion(
@@ -358,10 +330,19 @@ class SceneSimulation:
             if self._stop_time is not None:
                 self._alone.stop_time = self._stop_time
         run = self._alone.run(variant)
-        if not run.completed:
-            where = ", ".join(f"{name} = {value:g}" for name, value in variant.items())
-            raise ResultsError(f"{self._scene.name} can't be simulated with {where}: {run.message}")
+        check_end(run.completed, self._scene.name, variant, run.message)
         return run.recording
+
+
+def check_end(completed: bool, model: str, variant: Mapping[str, float], message: str) -> None:
+    """Check that a variant's run came to its end.
+
+    Raises:
+        ResultsError: it didn't.
+    """
+    if not completed:
+        where = ", ".join(f"{name} = {value:g}" for name, value in variant.items())
+        raise ResultsError(f"{model} can't be simulated with {where}: {message}")
 
 
 def comparable(scene: Scene, fmu_path: Path) -> dict[str, str]:
@@ -643,61 +624,8 @@ def replayed(
         }
     motion = plan(scene)
     loop = Loop(motion, motion.joints, controllers=(source,), parameters={key: x for key, (x, _) in pose.items()})
-    step = scene.cosimulation.communication_step
-    return (
-        loop,
-        begin,
-        step * int((end - begin) / step),
-        {key: each for key, each in pose.items() if each[1] > 0.0},
-        source,
-    )
-
-
-class FmuSimulation:
-    """Simulates variants of anybody's FMU, one after the other, along the inputs of a log.
-
-    Args:
-        path: of the FMU.
-        outputs: what is recorded.
-        inputs: outputs of `LoggedSignals` are the FMU's inputs; None without.
-        stop_time, step: end and communication step [s].
-        tolerance: relative tolerance; None for the FMU's own.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        outputs: Sequence[str],
-        inputs: LoggedSignals | None,
-        stop_time: float,
-        step: float,
-        tolerance: float | None = None,
-    ) -> None:
-        self._path, self._inputs, self._stop_time, self._step = path, inputs, stop_time, step
-        self._tolerance, self._record = tolerance, Selection([f"model.{each}" for each in outputs], order=2)
-
-    def __call__(self, variants: Sequence[Mapping[str, float]]) -> list[Recording]:
-        """Return the recording of each variant; errors as for `SceneSimulation`."""
-        return [self._one(variant) for variant in variants]
-
-    def _one(self, variant: Mapping[str, float]) -> Recording:
-        slaves: list[Slave] = [fmu_slave(self._path, "model", dict(variant))]
-        wires = []
-        if self._inputs is not None:
-            slaves.append(self._inputs)
-            wires = [(f"log.{each.name}", f"model.{each.name}") for each in self._inputs.variables]
-        run = simulate(
-            connect(slaves, wires),
-            self._stop_time,
-            self._step,
-            tolerance=self._tolerance,
-            record=self._record,
-            isolation=isolation(None, slaves, CALL_LIMIT, caller_owned=False),
-        )
-        if run.outcome is not Outcome.COMPLETED:
-            where = ", ".join(f"{name} = {value:g}" for name, value in variant.items())
-            raise ResultsError(f"{self._path.name} can't be simulated with {where}: {run.message}")
-        return Recording(run.recording.time, {key.removeprefix("model."): each for key, each in run.recording.items()})
+    step, uncertain = scene.cosimulation.communication_step, {key: each for key, each in pose.items() if each[1] > 0.0}
+    return loop, begin, step * int((end - begin) / step), uncertain, source
 
 
 def fmu_experiment(
@@ -744,15 +672,23 @@ def fmu_experiment(
     own = getattr(description.defaultExperiment, "stepSize", None)
     chosen = step or min(float(own or inf), *(each.step for each in channels))
     # a whole number of steps
-    count = ceil((end - start) / chosen * (1.0 - 1e-9))
-    return Experiment(
-        name,
-        channels,
-        FmuSimulation(path, compared, inputs, end - start, (end - start) / count, tolerance),
-        end - start,
-        True,
-        drive=inputs,
-    )
+    duration, count = end - start, ceil((end - start) / chosen * (1.0 - 1e-9))
+    record = Selection([f"model.{each}" for each in compared], order=2)
+
+    def simulated(variant: Mapping[str, float]) -> Recording:
+        slaves: list[Slave] = [fmu_slave(path, "model", dict(variant)), *([] if inputs is None else [inputs])]
+        run = simulate(
+            connect(slaves, [(f"log.{key}", f"model.{key}") for key in driving]),
+            duration,
+            duration / count,
+            tolerance=tolerance,
+            record=record,
+            isolation=isolation(None, slaves, CALL_LIMIT, caller_owned=False),
+        )
+        check_end(run.outcome is Outcome.COMPLETED, path.name, variant, run.message)
+        return Recording(run.recording.time, {key.removeprefix("model."): each for key, each in run.recording.items()})
+
+    return Experiment(name, channels, lambda variants: [*map(simulated, variants)], duration, True, drive=inputs)
 
 
 def is_table(log: Log) -> bool:

@@ -76,12 +76,7 @@ class ColouredNoise:
 
 
 def fitted_noise(
-    residuals: RealArray,
-    pieces: Sequence[Piece],
-    step: float,
-    least: float = 0.0,
-    highest: int = HIGHEST,
-    errors: RealArray | None = None,
+    residuals: RealArray, pieces: Sequence[Piece], step: float, least: float = 0.0, errors: RealArray | None = None
 ) -> ColouredNoise:
     """Return the noise model of residuals (N,), by Burg's method over all pieces.
 
@@ -90,13 +85,12 @@ def fitted_noise(
         pieces: ranges of samples at equal distances.
         step: that distance [s].
         least: smallest standard deviation of what it leaves.
-        highest: highest order; less where there are few samples.
         errors: (N,) what the noise is relative to; None for the residuals' unit.
     """
     if errors is not None:
         residuals = residuals / errors
     count = sum(piece.stop - piece.start for piece in pieces)
-    highest = max(min(highest, count // SHARE, max(piece.stop - piece.start for piece in pieces) - 2), 0)
+    highest = max(min(HIGHEST, count // SHARE, max(piece.stop - piece.start for piece in pieces) - 2), 0)
     forward = [residuals[piece].astype(float) for piece in pieces]
     backward = [each.copy() for each in forward]
     power = sum(float(each @ each) for each in forward) / count

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -322,14 +322,9 @@ class Identification(Rows):
                     "signal": each.name,
                     "unit": each.unit,
                     "samples": each.time.size,
-                    "rms_before": each.rms[0],
-                    "rms_after": each.rms[1],
-                    "noise": each.noise,
+                    **dict(zip(("rms_before", "rms_after"), each.rms, strict=True)),
                     "noise_order": each.order,
-                    "whiteness": each.whiteness,
-                    "independence": each.independence,
-                    "moving": each.moving,
-                    "ringing": each.ringing,
+                    **{key: getattr(each, key) for key in ("noise", "whiteness", "independence", "moving", "ringing")},
                 }
                 for each in self.signals
             ],
@@ -415,52 +410,18 @@ class Identification(Rows):
 
     def page(self) -> str:
         """The page: tables, measured and simulated signals, residuals and their spectra, as HTML."""
-        plots = list[Plot]()
+        plots, caption = list[Plot](), "Measured, and simulated with the first and the identified parameters."
         for number, each in enumerate(self.signals):
-            chosen = thinned(each.measured, MOST_POINTS // 2)
-            curves = [
-                (each.measured, "measured", INK),
-                (each.before, "before", PALETTE[1]),
-                (each.after, "after", PALETTE[0]),
-            ]
-            left = [
-                (each.measured - each.before, "before", PALETTE[1]),
-                (each.measured - each.after, "after", PALETTE[0]),
-            ]
-            unit = shown_unit(each.unit)
-            panels = tuple(
-                Panel(
-                    label=f"{what}\n[{unit}]",
-                    curves=[Curve(each.time[chosen], y[chosen], label, colour) for y, label, colour in group],
-                )
-                for what, group in ((each.name, curves), ("residual", left))
-            )
-            plots.append(
-                Plot(
-                    f"signal-{number}",
-                    f"{each.name} of {each.log}",
-                    "Measured, and simulated with the first and the identified parameters.",
-                    panels,
-                    each.axis,
-                    260.0,
-                )
-            )
-            spectra = [
-                Curve(*found, label, colour)
-                for y, label, colour in left
-                if each.axis.startswith("time") and (found := spectrum(each.time, y, float(each.time[0]))) is not None
-            ]
-            if spectra:
-                panel = spectrum_panel(f"residual\n[{unit}]", spectra)
-                plots.append(
-                    Plot(
-                        f"spectrum-{number}",
-                        f"Spectrum of {each.name} of {each.log}",
-                        spectrum_caption("Residuals"),
-                        (panel,),
-                        "frequency [Hz]",
-                    )
-                )
+            simulated = (each.before, "before", PALETTE[1]), (each.after, "after", PALETTE[0])
+            lines = [(each.time, each.measured, "measured", INK), *((each.time, *line) for line in simulated)]
+            left = [(each.time, each.measured - y, label, colour) for y, label, colour in simulated]
+            title, unit = f"{each.name} of {each.log}", shown_unit(each.unit)
+            groups = {each.name: lines, "residual": left}
+            plots.append(fitted_plot(f"signal-{number}", title, caption, unit, groups, x_label=each.axis))
+            if each.axis.startswith("time") and (spectra := spectra_of(left)):
+                panel, title = spectrum_panel(f"residual\n[{unit}]", spectra), f"Spectrum of {title}"
+                text = spectrum_caption("Residuals")
+                plots.append(Plot(f"spectrum-{number}", title, text, (panel,), "frequency [Hz]"))
         return Page(f"{self.name}, identified", " ".join(self.messages), plots, [*self.tables()]).html
 
     def write(self, folder: str | os.PathLike[str]) -> Path:
@@ -495,6 +456,46 @@ class Identification(Rows):
                     part.set_xlabel(each.axis)
             panels[0, 0].legend(fontsize=8)
         return figure
+
+
+Line = tuple[RealArray, RealArray, str, str]
+"""Instants (N,), values (N,), label and colour of a curve."""
+
+
+def fitted_plot(
+    key: str,
+    title: str,
+    caption: str,
+    unit: str,
+    groups: Mapping[str, Sequence[Line]],
+    most: int = MOST_POINTS // 2,
+    x_label: str = "time [s]",
+) -> Plot:
+    """The plot of a measured signal beside simulated ones, and of their differences.
+
+    Args:
+        key, title, caption: of the plot.
+        unit: of all values, as it is shown.
+        groups: what each panel shows → its lines.
+        most: largest number of points of a line.
+        x_label: of the horizontal axis.
+    """
+    panels = []
+    for what, lines in groups.items():
+        chosen = [(thinned(y, most), x, y, label, colour) for x, y, label, colour in lines]
+        curves = [Curve(x[some], y[some], label, colour) for some, x, y, label, colour in chosen]
+        panels.append(Panel(label=f"{what}\n[{unit}]", curves=curves))
+    return Plot(key, title, caption, tuple(panels), x_label, 260.0)
+
+
+def spectra_of(lines: Iterable[Line], most: int = MOST_POINTS) -> list[Curve]:
+    """The spectra of lines over time; none of those that are too short."""
+    found = list[Curve]()
+    for x, y, label, colour in lines:
+        if (each := spectrum(x, y, float(x[0]))) is not None:
+            chosen = thinned(each[1], most)
+            found.append(Curve(each[0][chosen], each[1][chosen], label, colour))
+    return found
 
 
 def identified_robots(

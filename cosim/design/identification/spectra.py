@@ -8,7 +8,6 @@ coherence, or are proportional to the magnitude. Measured modes belong to those 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from itertools import product
 from math import pi
 from pathlib import Path
@@ -52,15 +51,8 @@ MODE_COLUMNS = {"frequency": "Hz", "frequency_error": "Hz", "damping_ratio": "1"
 """Column of a table of modes → unit."""
 
 
-@dataclass(frozen=True, eq=False)
-class ModeTable:
-    """Measured modes, the lowest first.
-
-    Attributes:
-        columns: of `MODE_COLUMNS`, (N,) each: ``frequency``, and what else is known.
-    """
-
-    columns: Mapping[str, RealArray]
+ModeTable = Mapping[str, RealArray]
+"""Measured modes, the lowest first: columns of `MODE_COLUMNS`, (N,) each: ``frequency``, and what else is known."""
 
 
 def as_spectrum(log: object, mapping: Mapping[str, Mapped]) -> FrequencyResponse | ModeTable | None:
@@ -117,7 +109,7 @@ def _modes(source: str, columns: Mapping[str, RealArray], places: Sequence[int])
                 f"{source}, line {places[at]}: {key} must be above 0, got {f'{values[at]:g} {unit}'.strip()}: leave out the row or the column"
             )
     order = np.argsort(columns["frequency"])
-    return ModeTable({key: values[order] for key, values in columns.items()})
+    return {key: values[order] for key, values in columns.items()}
 
 
 def spectrum_experiment(
@@ -157,8 +149,8 @@ def spectrum_experiment(
 
     first = plant({})
     known, is_rigid = _frequencies(first)[0], plant_of(robot).degrees_of_freedom == plant_of(robot).locked
-    if isinstance(measured, ModeTable):
-        frequency, channels = measured.columns["frequency"], _mode_channels(measured)
+    if not isinstance(measured, FrequencyResponse):
+        frequency, channels = measured["frequency"], _mode_channels(measured)
         if len(frequency) > len(known):
             raise InputError(
                 f"{name} has {len(frequency)} modes, {scene.name} has {len(known)} that oscillate: leave out the others"
@@ -178,7 +170,9 @@ def spectrum_experiment(
     def simulate(variants: Sequence[Mapping[str, float]]) -> list[Recording]:
         return [Recording(frequency, evaluated(plant(variant))) for variant in variants]
 
-    return Experiment(name, channels, simulate, np.inf, True, scene, is_table=isinstance(measured, ModeTable))
+    return Experiment(
+        name, channels, simulate, np.inf, True, scene, is_table=not isinstance(measured, FrequencyResponse)
+    )
 
 
 def delay_of_response(experiment: Experiment, run: Recording) -> float:
@@ -203,15 +197,29 @@ def _frequencies(plant: LinearPlant) -> tuple[RealArray, RealArray]:
     return np.abs(poles) / (2.0 * pi), -poles.real / np.abs(poles)
 
 
+def _channel(
+    name: str,
+    unit: str,
+    of: str,
+    frequency: RealArray,
+    values: RealArray,
+    errors: RealArray,
+    part: complex,
+    least: float = 0.0,
+) -> Channel:
+    """Values (N,) over frequencies, with their errors."""
+    pieces = (slice(0, len(values)),)
+    return Channel(name, unit, {of: 1.0}, frequency, values, pieces, 1.0, part, errors, least, AXIS)
+
+
 def _mode_channels(measured: ModeTable) -> tuple[Channel, ...]:
     """Frequencies and damping ratios, with their standard errors or in terms of their sizes."""
-    found, frequency = list[Channel](), measured.columns["frequency"]
+    found, frequency = list[Channel](), measured["frequency"]
     for key in ("frequency", "damping_ratio"):
-        if (values := measured.columns.get(key)) is not None:
-            errors = measured.columns.get(f"{key}_error")
-            channel = Channel(key, MODE_COLUMNS[key], {key: 1.0}, frequency, values, (slice(0, len(values)),), 1.0)
+        if (values := measured.get(key)) is not None:
+            errors = measured.get(f"{key}_error")
             least, scale = (0.0, values) if errors is None else (1.0, errors)
-            found.append(replace(channel, part=1.0, errors=scale, least=least, axis=AXIS))
+            found.append(_channel(key, MODE_COLUMNS[key], key, frequency, values, scale, 1.0, least))
     return tuple(found)
 
 
@@ -278,10 +286,7 @@ def _response(
             errors = size * np.sqrt((1.0 - share) / share)
         errors = np.maximum(errors, LEAST_ERROR * size.max() or 1.0)
         for text, turn in (("real", 1.0), ("imaginary", -1j)):
-            channel = Channel(
-                f"{pair} {text}", unit, {pair: 1.0}, frequency, (turn * values).real, (slice(0, len(values)),), 1.0
-            )
-            channels.append(replace(channel, part=turn, errors=errors, axis=AXIS))
+            channels.append(_channel(f"{pair} {text}", unit, pair, frequency, (turn * values).real, errors, turn))
         pairs.append((pair, unit))
     return tuple(channels), evaluated
 

@@ -48,7 +48,7 @@ from flexfmu.cosim.engine.measured import Log, Mapped, TimedValues, estimate_del
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.parameters import scene_values, scene_with_parameters
+from flexfmu.cosim.experiment.parameters import scene_changes, scene_values
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.keys import parse_setting, split_values
@@ -156,21 +156,6 @@ def parse_log(text: str) -> LogSource:
     return LogSource(path, dict(parse_setting(each) for each in split_values(changes, path)) if changes else {})
 
 
-def parse_segment(text: str) -> tuple[float, float]:
-    """Return begin and end [s] of ``FROM:TO``.
-
-    Raises:
-        InputError: the text has another form, or they don't ascend.
-    """
-    try:
-        begin, end = (float(each) for each in text.split(":"))
-    except ValueError:
-        begin, end = math.nan, math.nan
-    if not -math.inf < begin < end < math.inf:
-        raise InputError(f"a segment is FROM:TO in s with ascending ends, 0.1:0.6 for example, got {text!r}")
-    return begin, end
-
-
 def parse_sensors(text: str | None, usual: Collection[str]) -> Collection[str]:
     """What is unknown of sensors, from names with commas; ``none`` for nothing.
 
@@ -200,40 +185,47 @@ def _free_texts(free: Free) -> list[str]:
     ]
 
 
+@dataclass(frozen=True)
+class Estimation:
+    """What is estimated from logs, and how.
+
+    Attributes:
+        free: names of an FMU's parameters; keys of a scene without the names of the sections `mechanism` and `effects`, or with them.
+        sensors: what is unknown of them: `delay`, `offset`, `gain`.
+        mapping: column of the logs → what it is.
+        priors: key → mean and standard deviation of what is known beforehand.
+        loss: `linear`, or `robust` against outliers.
+        starts: number of first values from which the least squares are looked for; more than one are drawn within the bounds.
+        seed: of these.
+        segments: intervals of the logs' times whose samples count [s]; none for all.
+        strict: whether a value in a log that is no finite number is an error instead of left out.
+        show: called with what is being done, and the finished fraction.
+    """
+
+    free: Free
+    sensors: Collection[str]
+    mapping: Mapping[str, Mapped]
+    priors: Mapping[str, tuple[float, float]]
+    loss: str
+    starts: int
+    seed: int
+    segments: Sequence[tuple[float, float]]
+    strict: bool
+    show: ShowProgress
+
+
 @one_blas_thread()
 def identify_scene(
-    scene: Scene,
-    logs: Sequence[LogSource],
-    free: Free,
-    *,
-    mapping: Mapping[str, Mapped] | None = None,
-    priors: Mapping[str, tuple[float, float]] | None = None,
-    sensors: Collection[str] = ("delay", "offset"),
-    loss: str = "linear",
-    starts: int = 1,
-    seed: int = 0,
-    segments: Sequence[tuple[float, float]] = (),
-    explain: bool | None = None,
-    strict: bool = False,
-    show: ShowProgress = quiet,
+    scene: Scene, logs: Sequence[LogSource], wanted: Estimation, explain: bool | None = None
 ) -> Identification:
     """Estimate parameters of a scene from logs.
 
     Args:
         scene: the scene, with first values.
         logs: at least one.
-        free: what is estimated: keys of the scene without the names of the sections `mechanism` and `effects`, or with them.
-        mapping: column of the logs → what it is.
-        priors: key → mean and standard deviation of what is known beforehand.
-        sensors: what is unknown of them: `delay`, `offset`, `gain`.
-        loss: `linear`, or `robust` against outliers.
-        starts: number of first values from which the least squares are looked for; more than one are drawn within the bounds.
-        seed: of these.
-        segments: intervals of the logs' times whose samples count [s]; none for all.
+        wanted: what is estimated.
         explain: whether effects that the scene lacks are tried; None for where the residuals aren't noise, or several parameters are free,
             which can imitate what is missing.
-        strict: whether a value in a log that is no finite number is an error instead of left out.
-        show: called with what is being done, and the finished fraction.
 
     Raises:
         InputError: a key or a log can't be used, or the log isn't one of this robot; the message says why.
@@ -241,14 +233,14 @@ def identify_scene(
         BuildError: the FMU can't be built.
         ResultsError: a simulation failed.
     """
-    known, meaning = scene_values(scene), dict(mapping or {})
+    known, meaning = scene_values(scene), wanted.mapping
     spectra = [None if is_table(each.log) else as_spectrum(each.log, meaning) for each in logs]
     # a column that a response has needn't be in logs
     spectral = {
         name for each in spectra if isinstance(each, FrequencyResponse) for name in (*each.inputs, *each.outputs)
     }
     columns = {column: each for column, each in meaning.items() if column not in spectral}
-    base, parameters = free_parameters(scene, free, priors or {}, show)
+    base, parameters = free_parameters(scene, wanted.free, wanted.priors, wanted.show)
     with TemporaryDirectory() as folder:
 
         def prepared(extra: Mapping[str, Any]) -> list[Experiment]:
@@ -268,9 +260,9 @@ def identify_scene(
                         each.log,
                         columns,
                         folder,
-                        segments,
+                        wanted.segments,
                         name=each.name,
-                        strict=strict,
+                        strict=wanted.strict,
                     )
                 # what is known of one log isn't free there
                 fixed = {
@@ -281,20 +273,20 @@ def identify_scene(
                 )
             return found
 
-        study = _Study(scene.name, prepared({}), parameters, sensors, loss, show)
-        solved = study.solved(starts, seed)
+        study = _Study(scene.name, prepared({}), parameters, wanted)
+        solved = study.solved()
         signals = study.signals(solved)
         explanations = study.explanations(solved, signals, base, prepared, explain)
     found = study.result(solved, signals, explanations)
-    values = {p.name: found.values[p.name] for p in parameters}
+    changes = scene_changes(base, found.values)
     keyed = tuple(replace(each, key=known[each.name].key) for each in found.estimates)
-    return replace(found, estimates=keyed, scene=scene_with_parameters(base, values), changes=_whole_keys(base, values))
+    return replace(found, estimates=keyed, scene=base.replace(changes), changes=changes)
 
 
 def free_parameters(
     scene: Scene, free: Free, priors: Mapping[str, tuple[float, float]], show: ShowProgress = quiet
 ) -> tuple[Scene, list[FreeParameter]]:
-    """The scene with the first values, and the parameters to be estimated; arguments and errors as for `identify_scene`."""
+    """The scene with the first values, and the parameters to be estimated; arguments as in `Estimation`, errors as for `identify_scene`."""
     known = scene_values(scene)
     own = {name: each.value for name, each in known.items() if not name.startswith("start.")}
     chosen = _chosen(free, priors, own, scene.name, _short)
@@ -326,29 +318,16 @@ def _of_variable(parameter: FreeParameter, variable: Any) -> FreeParameter:
 
 @one_blas_thread()
 def identify_fmu(
-    path: Path,
-    logs: Sequence[LogSource],
-    free: Free,
-    *,
-    mapping: Mapping[str, Mapped] | None = None,
-    priors: Mapping[str, tuple[float, float]] | None = None,
-    sensors: Collection[str] = (),
-    loss: str = "linear",
-    starts: int = 1,
-    seed: int = 0,
-    segments: Sequence[tuple[float, float]] = (),
-    step: float | None = None,
-    tolerance: float | None = None,
-    strict: bool = False,
-    show: ShowProgress = quiet,
+    path: Path, logs: Sequence[LogSource], wanted: Estimation, step: float | None = None, tolerance: float | None = None
 ) -> Identification:
     """Estimate parameters, or start values, of anybody's FMU from logs whose columns are its inputs and outputs.
 
     Args:
         path: of the FMU; its start values are the first ones.
+        logs: at least one.
+        wanted: what is estimated.
         step: communication step [s]; None for the FMU's own, at most the samples' distance.
         tolerance: relative tolerance; None for the FMU's own.
-        Others as for `identify_scene`.
 
     Raises: as for `identify_scene`.
     """
@@ -358,17 +337,16 @@ def identify_fmu(
         for name, each in variables.items()
         if each.start is not None and each.causality != "input" and each.type in REALS
     }
-    parameters = [_of_variable(each, variables[each.name]) for each in _chosen(free, priors or {}, own, path.name)]
+    chosen = _chosen(wanted.free, wanted.priors, own, path.name)
+    parameters = [_of_variable(each, variables[each.name]) for each in chosen]
     if changed := next((each for each in logs if each.changes), None):
         raise InputError(f"{changed.name}: keys of a scene can't be given for an FMU")
+    options: dict[str, Any] = {"step": step, "tolerance": tolerance, "strict": wanted.strict}
     experiments = [
-        fmu_experiment(
-            path, each.log, mapping or {}, segments, name=each.name, step=step, tolerance=tolerance, strict=strict
-        )
-        for each in logs
+        fmu_experiment(path, each.log, wanted.mapping, wanted.segments, name=each.name, **options) for each in logs
     ]
-    study = _Study(path.stem, experiments, parameters, sensors, loss, show)
-    solved = study.solved(starts, seed)
+    study = _Study(path.stem, experiments, parameters, wanted)
+    solved = study.solved()
     return study.result(solved, study.signals(solved), ())
 
 
@@ -387,7 +365,7 @@ def _chosen(
     """The parameters to be estimated, without units.
 
     Args:
-        free, priors: as for `identify_scene`.
+        free, priors: as in `Estimation`.
         known: name of a parameter → its value.
         model: name of scene or FMU.
         short: key → name.
@@ -421,19 +399,6 @@ def _chosen(
     return found
 
 
-def _whole_keys(scene: Scene, values: Mapping[str, float]) -> dict[str, Any]:
-    """Key of the scene → new value; of a vector all components."""
-    known, found = scene_values(scene), dict[str, Any]()
-    for name, value in values.items():
-        key = known[name].key
-        if name.endswith((".x", ".y")):
-            vector = found.setdefault(key, [known[f"{name[:-1]}{axis}"].value for axis in "xy"])
-            vector["xy".index(name[-1])] = value
-        else:
-            found[key] = value
-    return found
-
-
 @dataclass(frozen=True, eq=False)
 class _Solved:
     """A fit, what was kept at its first value and why, and how the starts ended."""
@@ -451,31 +416,26 @@ class _Study:
         name: of the scene or FMU.
         experiments: at least one.
         parameters: what is estimated.
-        sensors: what is unknown of them.
-        loss: of `LOSSES`.
-        show: shows progress.
+        wanted: how.
 
     Raises:
         InputError: an argument is none of its choices, or a log isn't one of this robot.
     """
 
     def __init__(
-        self,
-        name: str,
-        experiments: Sequence[Experiment],
-        parameters: Sequence[FreeParameter],
-        sensors: Collection[str],
-        loss: str,
-        show: ShowProgress,
+        self, name: str, experiments: Sequence[Experiment], parameters: Sequence[FreeParameter], wanted: Estimation
     ) -> None:
+        sensors, loss, show = wanted.sensors, wanted.loss, wanted.show
         if not experiments:
             raise InputError("there is no log: give at least one")
         if unknown := [each for each in sensors if each not in NUISANCES]:
             raise InputError(f"{unknown[0]!r} isn't known of sensors; {suggestion(unknown[0], NUISANCES)}")
         if loss not in LOSSES:
             raise InputError(f"there is no loss {loss!r}; {suggestion(loss, LOSSES)}")
+        if not 1 <= wanted.starts <= 1000:
+            raise InputError(f"the number of starts goes from 1 to 1000, got {wanted.starts}")
         self._name, self._experiments, self._parameters, self._show = name, experiments, parameters, show
-        self._sensors, self._loss, self._runs = tuple(sensors), LOSSES[loss], 0
+        self._sensors, self._loss, self._wanted, self._runs = tuple(sensors), LOSSES[loss], wanted, 0
         show("simulating with the first values", None)
         start = {each.name: each.start for each in parameters}
         self._first = [each.simulate([start])[0] for each in experiments]
@@ -502,18 +462,16 @@ class _Study:
         ]
         return Problem(experiments, [*parameters, *starts], self._sensors, self._delays, self._loss, show)
 
-    def solved(self, starts: int, seed: int) -> _Solved:
+    def solved(self) -> _Solved:
         """Fit, and fit again without what the data don't determine."""
-        if not 1 <= starts <= 1000:
-            raise InputError(f"the number of starts goes from 1 to 1000, got {starts}")
         parameters, kept, messages = [*self._parameters], dict[str, str](), list[str]()
         while True:
             problem = self._problem(
                 parameters, {each.name: each.start for each in self._parameters if each.name in kept}
             )
             solution = problem.solve()
-            if starts > 1:
-                solution, message = self._from_several(problem, solution, starts, seed)
+            if self._wanted.starts > 1:
+                solution, message = self._from_several(problem, solution)
                 messages[:] = [message]
             unclear = undetermined(problem, solution)
             if not unclear:
@@ -528,12 +486,12 @@ class _Study:
                     f"the logs don't determine {joined([each.name for each in self._parameters])}: {kept[worst.name]}; take another motion (--design) or signal"
                 )
 
-    def _from_several(self, problem: Problem, first: Solution, starts: int, seed: int) -> tuple[Solution, str]:
+    def _from_several(self, problem: Problem, first: Solution) -> tuple[Solution, str]:
         """The best of fits from several first values, and how many of them agree with it."""
         from scipy.stats import qmc
 
-        count = problem.shared
-        points = qmc.LatinHypercube(count, rng=np.random.default_rng(seed)).random(MANY_PER_START * (starts - 1))
+        count, starts, rng = problem.shared, self._wanted.starts, np.random.default_rng(self._wanted.seed)
+        points = qmc.LatinHypercube(count, rng=rng).random(MANY_PER_START * (starts - 1))
         ends = np.array([each.drawn for each in problem.free[:count]])
         drawn = [np.append(row, problem.start[count:]) for row in ends[:, 0] + points * (ends[:, 1] - ends[:, 0])]
         # far from the minimum, whitened residuals have minima of their own
@@ -685,7 +643,6 @@ class _Study:
             messages.append(
                 "Effects that the scene lacks weren't tried on the residuals: --explain (explain=True) does."
             )
-        best = explanations[0] if explanations else None
         if is_wrong:
             # what a wrong model does to the estimates differs from part to part of the logs
             apart = problem.jackknife(solution)
@@ -693,41 +650,22 @@ class _Study:
             widths = float(stdtrit(BLOCKS - 1, 0.975)) * apart
             centres = zip(intervals, solution.unknowns.tolist(), widths.tolist(), strict=True)
             intervals = [(min(low, x - width), max(high, x + width)) for (low, high), x, width in centres]
-        estimates, free = list[Estimated](), [each.name for each in problem.free]
-        for each in self._parameters:
-            if reason := solved.kept.get(each.name):
-                estimates.append(
-                    Estimated(
-                        each.name, each.unit, each.start, each.start, math.nan, (each.start, each.start), kept=reason
-                    )
-                )
-                continue
-            j = free.index(each.name)
-            low, high = intervals[j]
+        found, shifts = dict[str, Estimated](), explanations[0].shifts if explanations else {}
+        for j, (name, each) in enumerate(zip(problem.labels, problem.unknowns, strict=True)):
             # a model that explains more has other values: its interval counts as well
-            shift = 0.0 if best is None else best.shifts.get(each.name, 0.0)
+            (low, high), shift = intervals[j], shifts.get(name, 0.0)
             interval = max(low + min(shift, 0.0), each.low), min(high + max(shift, 0.0), each.high)
             value, error = float(solution.unknowns[j]), float(errors[j])
-            estimates.append(
-                Estimated(each.name, each.unit, each.start, value, error, interval, profiled=j in profiled)
-            )
-        sensors = [
-            Estimated(
-                name,
-                _unit_of(name, problem),
-                float(problem.start[j]),
-                float(solution.unknowns[j]),
-                float(errors[j]),
-                intervals[j],
-            )
-            for j, name in enumerate(problem.labels[count:], count)
-        ]
+            found[name] = Estimated(name, each.unit, each.start, value, error, interval, profiled=j in profiled)
+        for name, reason in solved.kept.items():
+            each = next(each for each in self._parameters if each.name == name)
+            found[name] = Estimated(name, each.unit, each.start, each.start, math.nan, (each.start,) * 2, kept=reason)
         wider = errors / np.maximum(np.sqrt(np.diag(solution.covariance)), LEAST_ERROR)
         covariance = (solution.covariance * np.outer(wider, wider))[:count, :count]
         return Identification(
             self._name,
-            tuple(estimates),
-            tuple(sensors),
+            tuple(found[each.name] for each in self._parameters),
+            tuple(found[name] for name in problem.labels[count:]),
             covariance,
             tuple(signals),
             tuple(explanations or ()),
@@ -766,17 +704,6 @@ def _with_fixed(
 ) -> list[Recording]:
     """Recordings of variants that have some parameters in common."""
     return experiment.simulate([{**variant, **fixed} for variant in variants])
-
-
-def _unit_of(name: str, problem: Problem) -> str:
-    """Unit of a sensor's unknown."""
-    if name.startswith(("delay", "start")):
-        return "s" if name.startswith("delay") else "m"
-    return (
-        "1"
-        if name.startswith("gain")
-        else next(row.channel.unit for row in problem.rows if f" {row.channel.name} of " in name)
-    )
 
 
 def _lagged(signal: RealArray, channel: Channel) -> RealArray:

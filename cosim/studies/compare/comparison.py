@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from flexfmu.cosim.design.identification.result import fitted_plot, spectra_of
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import to_json, write_whole
 from flexfmu.cosim.engine.measured import (
@@ -30,10 +31,10 @@ from flexfmu.cosim.engine.showing import Rows, few_lines, html_table, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition
-from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE, Curve, Panel, thinned
+from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE
 from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun, comparison_page, loop_tables, metrics_table
 from flexfmu.cosim.reports.page import Plot, Table
-from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
+from flexfmu.cosim.reports.spectrum import spectrum_caption, spectrum_panel
 
 POINTS, FEWEST = 12000, 40
 """Number of points that all curves of measured signals have together, and of one curve at least: they limit the size of the page."""
@@ -328,11 +329,6 @@ def _measured_plots(runs: Sequence[ComparedRun], measured: Measured) -> Iterator
     """Yield measured and simulated values, and their difference, of each signal; then the spectra."""
     spectra = []
     most = min(max(POINTS // (4 * len(runs) * len(measured.recording.columns)), FEWEST), MOST_POINTS)
-
-    def curve(x: RealArray, y: RealArray, label: str, colour: str) -> Curve:
-        chosen = thinned(y, most)
-        return Curve(x[chosen], y[chosen], label, colour)
-
     for number, name in enumerate(measured.recording.columns):
         unit = shown_unit(measured.recording[name].unit)
         compared = [(run.name, measured.differences[run.name].get(name)) for run in runs]
@@ -344,17 +340,11 @@ def _measured_plots(runs: Sequence[ComparedRun], measured: Measured) -> Iterator
         first = coloured[0][1]
         lines = [(first.time, first.measured, measured.name, INK)]
         lines += [(each.time, each.simulated, run, colour) for run, each, colour in coloured]
-        differing = [curve(each.time, each.values, run, colour) for run, each, colour in coloured]
-        panels = (
-            Panel(label=f"{name}\n[{unit}]", curves=[curve(*line) for line in lines]),
-            Panel(label=f"difference\n[{unit}]", curves=differing),
-        )
+        differing = [(each.time, each.values, run, colour) for run, each, colour in coloured]
         text = f"{measured.name}, {delay_text(measured.delay)}, and simulated."
-        yield Plot(f"measured-{number}", name, text, panels, height=260.0)
-        # nothing where a signal is too short
-        found = [(spectrum(time, values, float(time[0])), *rest) for time, values, *rest in lines]
-        amplitudes = [curve(*each, *rest) for each, *rest in found if each is not None]
-        spectra += [spectrum_panel(f"{name}\n[{unit}]", amplitudes)] if amplitudes else []
+        yield fitted_plot(f"measured-{number}", name, text, unit, {name: lines, "difference": differing}, most)
+        if amplitudes := spectra_of(lines, most):
+            spectra.append(spectrum_panel(f"{name}\n[{unit}]", amplitudes))
     if spectra:
         title, text = "Spectra of measured signals", spectrum_caption("Measured and simulated signals")
         height = 90.0 + 100.0 * len(spectra)

@@ -20,6 +20,7 @@ from flexfmu.cosim.engine.files import locked
 from flexfmu.cosim.engine.fmu.file import SYSTEM
 from flexfmu.cosim.engine.results import Recording, Selection
 from flexfmu.cosim.experiment.parameters import scene_values
+from flexfmu.cosim.experiment.planning import PLANNED_WITH
 from flexfmu.cosim.experiment.recorded_instants import DERIVATIVES
 from flexfmu.cosim.experiment.scene_build import build_scene, depends_on, scene_key
 from flexfmu.cosim.experiment.scene_run import Run
@@ -33,10 +34,7 @@ from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.keys import full_key
 from flexfmu.model.scene.schema import Scene
 
-PLANNED_WITH = (
-    *("mechanism.base_half_distance", "mechanism.proximal.length", "mechanism.distal.length"),
-    "trajectory.start",
-)
+MOVING = (*(f"mechanism.{key}" for key in PLANNED_WITH), "trajectory.start")
 """Parameters of the FMU that the planned motion depends on as well."""
 
 LOOP = tuple(name for name, field in Scene.model_fields.items() if field.default == ())
@@ -139,7 +137,7 @@ def _group(
             continue
         # a motion that depends on nothing that varies, of a robot alone
         alone = not any(getattr(built, name) for name in LOOP) and not any(key.startswith(LOOP) for key in cases.keys)
-        is_direct = built.cosimulation.drive == "motion" and alone and not any(key in PLANNED_WITH for key in settable)
+        is_direct = built.cosimulation.drive == "motion" and alone and not any(key in MOVING for key in settable)
         if not is_direct:
             return Group(numbers, built, None)
         names: dict[str, tuple[str, ...]] = {}

@@ -125,7 +125,7 @@ def test_noise_of_what_drives_a_simulation_is_in_the_errors() -> None:
 
     def run(variants: Sequence[Mapping[str, float]]) -> list[Recording]:
         drive.prepare(TIME)
-        table = drive._table
+        table = drive.announced
         return [
             Recording(TIME, {"y": Column("", each["a"] * table[:, 0, 0], each["a"] * table[:, 1, 0])})
             for each in variants

@@ -11,7 +11,7 @@ import flexfmu
 from flexfmu import FrequencyResponse
 from flexfmu.cosim.design.identification.estimate import FreeParameter, Problem
 from flexfmu.cosim.design.identification.measurements import Experiment
-from flexfmu.cosim.design.identification.spectra import ModeTable, as_spectrum, delay_of_response, spectrum_experiment
+from flexfmu.cosim.design.identification.spectra import as_spectrum, delay_of_response, spectrum_experiment
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.statics import damped_modes
@@ -63,10 +63,10 @@ def test_drawn_robots_are_found_from_modes() -> None:
         rng = np.random.default_rng(seed)
         true = rng.uniform(4.0, 8.0), rng.uniform(0.05, 0.2)
         table = {"frequency": np.array([50.0, 80.0]), "damping_ratio": np.array([0.02, 0.02])}
-        values = simulated(spectrum_experiment(LOCKED, ModeTable(table), {}, END, name="m"), *true)
+        values = simulated(spectrum_experiment(LOCKED, table, {}, END, name="m"), *true)
         for key, share, own in zip(("frequency", "damping_ratio"), (0.003, 0.05), values, strict=True):
             table |= {key: own * (1.0 + share * rng.normal(size=2)), f"{key}_error": share * own}
-        experiment = spectrum_experiment(LOCKED, ModeTable(table), {}, END, name="m")
+        experiment = spectrum_experiment(LOCKED, table, {}, END, name="m")
         inside += coverage([experiment], true, ("delay", "offset"))
     assert np.all(inside >= 12)
 
@@ -75,7 +75,7 @@ def test_simulated_modes_are_those_of_the_model() -> None:
     """Those of motors that are locked, by motion drive."""
     modes = damped_modes(LOCKED, motor_angles(LOCKED.mechanism, END))
     table = {"frequency": modes.frequencies[:3], "damping_ratio": modes.ratios[:3]}
-    found = simulated(spectrum_experiment(LOCKED, ModeTable(table), {}, None, name="m"))
+    found = simulated(spectrum_experiment(LOCKED, table, {}, None, name="m"))
     np.testing.assert_allclose(found, [*table.values()], rtol=1e-9)
 
 
