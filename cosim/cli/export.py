@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from flexfmu.cosim.engine.master.system import System
-    from flexfmu.cosim.engine.showing import ShowProgress
     from flexfmu.cosim.exchange.slave_export import ExportedSystem
     from flexfmu.fmu_build.build import BuiltFmu
 
@@ -48,33 +47,28 @@ def build(
     from flexfmu.fmu_build.build import build_fmu
     from flexfmu.model.choice_text import choice_sentence
 
-    def options(show: ShowProgress) -> dict[str, Any]:
-        return {
+    suffix, model = "" if platform == ["wasm32"] else ".fmu", console.own_model(scene, settings)
+    robot = console.load_changed(scene, settings) if model is None else None
+    with console.progress() as show:
+        options: dict[str, Any] = {
             "platforms": platform or None,
             "naming": naming,
             "enumerations": enumerations,
             "fmi": fmi,
             "progress": lambda text: show(text, None),
         }
+        if model is not None:
+            built = build_fmu(model, output or Path(f"{model.name}{suffix}"), **options)
+        elif robot is not None:
+            # choose effects where the scene leaves them open
+            if robot.is_open:
+                from flexfmu.cosim.design.effects.choice import resolved
 
-    suffix = "" if platform == ["wasm32"] else ".fmu"
-    if (model := console.own_model(scene, settings)) is not None:
-        with console.progress() as show:
-            built = build_fmu(model, output or Path(f"{model.name}{suffix}"), **options(show))
-        console.print_result(json, asdict(built) | {"path": str(built.path)}, _where(built))
-        return 0
-    # choose effects where the scene leaves them open, then build
-    robot = console.load_changed(scene, settings)
-    target = output or Path(f"{robot.name}{suffix}")
-    with console.progress() as show:
-        if robot.is_open:
-            from flexfmu.cosim.design.effects.choice import resolved
-
-            robot = resolved(robot, show)
-        built = build_scene(robot, output=target, **options(show))
-    choice = choice_summary(robot)
+                robot = resolved(robot, show)
+            built = build_scene(robot, output=output or Path(f"{robot.name}{suffix}"), **options)
+    choice = None if robot is None else choice_summary(robot)
     data = asdict(built) | {"path": str(built.path)} | ({"effect_choice": choice} if choice else {})
-    sentences = [choice_sentence(robot)] if robot.effects.choice is not None else []
+    sentences = [] if robot is None or robot.effects.choice is None else [choice_sentence(robot)]
     console.print_result(json, data, *sentences, _where(built))
     return 0
 
@@ -231,8 +225,7 @@ def validate(
     if sandbox:
         from flexfmu.cosim.cli.sandbox import run_in_sandbox
 
-        if (status := run_in_sandbox(None)) is not None:
-            return status
+        run_in_sandbox(None)
     limit, broken = time_limit or TIME_LIMIT, None
     try:
         with console.progress() as show:

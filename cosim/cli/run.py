@@ -75,62 +75,38 @@ def run(
 
     # options that go with the other kind of file
     is_ssp = scene.lower().endswith(".ssp") or (os.path.isfile(scene) and is_zipfile(scene))
-    recorded = bool(record) or record_step is not None or record_order is not None
-    wrong = {
-        "--report and --live go with a scene; an SSP file has no report": is_ssp and (report or live),
-        "--live is about report.html: leave out --no-report": live and report is False,
-        "--record, --record-step and --record-order go with a scene": is_ssp and recorded,
-        f"--set {(settings or [''])[0]} goes with a scene; parameters of an SSP file are in the file": is_ssp
-        and settings,
-        "--stop-time goes with an SSP file; a scene ends with its motion and `trajectory.dwell`": not is_ssp
-        and stop_time is not None,
-        "--ssd goes with an SSP file; a scene is one system": not is_ssp and ssd is not None,
-        "--accuracy and --output go with a scene": is_ssp and (accuracy or output is not None),
-        "--output-order goes with an SSP file; in a scene each FMU has its own `output_order`": not is_ssp
-        and output_order is not None,
-    }
-    for problem, there in wrong.items():
-        if there:
-            raise InputError(problem)
-    chosen = tuple(dict.fromkeys(formats or ("csv",)))
+    wrong: dict[str, Any] = {"--live is about report.html: leave out --no-report": live and report is False}
+    if is_ssp:
+        recorded = bool(record) or record_step is not None or record_order is not None
+        wrong |= {
+            "--report and --live go with a scene; an SSP file has no report": bool(report) or live,
+            "--record, --record-step and --record-order go with a scene": recorded,
+            f"--set {(settings or [''])[0]} goes with a scene; parameters of an SSP file are in the file": settings
+            or None,
+            "--accuracy and --output go with a scene": bool(accuracy) or output is not None,
+        }
+    else:
+        wrong |= {
+            "--stop-time goes with an SSP file; a scene ends with its motion and `trajectory.dwell`": stop_time,
+            "--ssd goes with an SSP file; a scene is one system": ssd,
+            "--output-order goes with an SSP file; in a scene each FMU has its own `output_order`": output_order,
+        }
+    for fault, value in wrong.items():
+        if value not in (None, False):
+            raise InputError(fault)
     if sandbox:
-        folder = out
-        if folder is None:
-            name = Path(scene).stem if is_ssp else console.scene_name(scene, settings)
-            folder = console.usual_folder(name, settings)
         from flexfmu.cosim.cli.sandbox import run_in_sandbox
 
-        if (status := run_in_sandbox(folder)) is not None:
-            return status
-    if is_ssp:
-        return _run_ssp(Path(scene), out, (stop_time, step, ssd, output_order), isolate, chosen, json)
-    options: RunOptions = {"communication_step": step, "isolate": isolate, "accept_size": yes}
-    reports = live or (not json if report is None else report), live
-    companions = 1 if verify is None else 2 * verify
-    recording = record, record_step, record_order
-    return _run_scene(
-        scene, out, options, recording, companions, reports, chosen, settings, json, (accuracy or (), output)
-    )
-
-
-def _run_scene(
-    source: str,
-    out: Path | None,
-    options: RunOptions,
-    recorded: tuple[list[str] | None, float | None, int | None],
-    companions: int,
-    reports: tuple[bool, bool],
-    formats: Sequence[str],
-    changes: Sequence[str] | None,
-    as_json: bool,
-    wanted: tuple[Sequence[str], Path | None],
-) -> int:
-    """Simulate a scene, write, print; the exit status. What was recorded before a failure is written too.
-
-    ``recorded`` are names, interval [s] and derivatives of the recorded signals, None for the scene's keys; errors are taken from
-    ``companions`` more precise runs. ``reports`` says whether there is a report, and whether it simulates. ``wanted`` is the accuracy of the command line, and where the scene with the chosen settings goes.
-    """
+        name = Path(scene).stem if is_ssp else "" if out else console.scene_name(scene, settings)
+        run_in_sandbox(out or console.usual_folder(name, settings))
+    # formats and folder come first: no run is lost because it can't be written
     from flexfmu.cosim.engine.formats import check_format
+
+    written = tuple(dict.fromkeys(formats or ("csv",)))
+    for each in written:
+        check_format(each)
+    if is_ssp:
+        return _run_ssp(Path(scene), out, (stop_time, step, ssd, output_order), isolate, written, json)
     from flexfmu.cosim.engine.results import EVERYTHING, Selection
     from flexfmu.cosim.experiment.metric import Metric
     from flexfmu.cosim.many.prepared_scene import run_scene
@@ -140,104 +116,103 @@ def _run_scene(
     from flexfmu.model.scene.errors import EquilibriumError
 
     console.end_loading()
-    # formats and folder come first: no run is lost because it can't be written
-    for name in formats:
-        check_format(name)
-    (asked, target), (has_report, live) = wanted, reports
     if live:
         console.check_page_compiler()
-    console.check_scene_file(target)
-    scene, answer = console.load_changed(source, changes), None
-    if asked:
+    console.check_scene_file(output)
+    robot, answer = console.load_changed(scene, settings), None
+    if accuracy:
         from flexfmu.cosim.experiment.accuracy import asked_of
 
-        scene = scene.replace({"accuracy": asked_of(asked)})
-    if target is not None and not scene.accuracy:
+        robot = robot.replace({"accuracy": asked_of(accuracy)})
+    if output is not None and not robot.accuracy:
         raise InputError("--output writes settings that were chosen for an accuracy: add --accuracy METRIC=VALUE")
-    if scene.accuracy and options["communication_step"] is not None:
+    if robot.accuracy and step is not None:
         raise InputError("--accuracy chooses the communication step: leave out --step")
-    folder = console.prepared_folder(out or console.usual_folder(scene.name, changes))
+    folder = console.prepared_folder(out or console.usual_folder(robot.name, settings))
     with console.progress() as show:
-        if scene.is_open or scene.learners:
+        if robot.is_open or robot.learners:
             from flexfmu.cosim.design.effects.choice import resolved_with_answer
 
-            scene, answer = resolved_with_answer(scene, show)
-        if target is not None and answer is not None:
+            robot, answer = resolved_with_answer(robot, show)
+        if output is not None and answer is not None:
             from flexfmu.cosim.design.scene_files import changed_document
             from flexfmu.cosim.engine.files import write_whole
             from flexfmu.model.scene.keys import parse_setting
 
-            document = changed_document(source, target, {**dict(map(parse_setting, changes or ())), **answer.changes})
+            document = changed_document(scene, output, {**dict(map(parse_setting, settings or ())), **answer.changes})
             document.pop("accuracy", None)
             wishes = ", ".join(f"{each.name} = {each.asked}" for each in answer.figures)
             text = document.as_string()
             # a first line for editors, which names the schema, stays first
             start = text.index("\n") + 1 if text.startswith("#:") else 0
-            write_whole(target, f"{text[:start]}# settings chosen for {wishes}\n{text[start:]}")
+            write_whole(output, f"{text[:start]}# settings chosen for {wishes}\n{text[start:]}")
         show("planning the motion, building the FMU", None)
-        (names, every, order), section = recorded, scene.cosimulation
-        order = section.record_order if order is None else order
-        record = Selection(names or section.record, order, section.record_step if every is None else every)
-        options |= {"record": record, "progress": partial(show, "simulating")}
+        section = robot.cosimulation
+        every = section.record_step if record_step is None else record_step
+        selection = Selection(
+            record or section.record, section.record_order if record_order is None else record_order, every
+        )
+        options: RunOptions = {"communication_step": step, "isolate": isolate, "accept_size": yes}
+        options |= {"record": selection, "progress": partial(show, "simulating")}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LoopWarning)  # which the summary has
-            run = replace(run_scene(scene, **options), accuracy=answer)
+            found = replace(run_scene(robot, **options), accuracy=answer)
         # the recording first, whatever becomes of metrics and plots
         show("writing the results", None)
-        files = console.write_results(folder, run.recording, formats, run.about)
+        files = console.write_results(folder, found.recording, written, found.about)
         # metrics and report are of all signals with two derivatives
-        is_whole = record.names is None and record.order == EVERYTHING.order
+        is_whole = selection.names is None and selection.order == EVERYTHING.order
         measurements: Mapping[str, Metric] = dict.fromkeys(COMMON_METRICS, Metric(None))
-        settings = None
-        problem = run.message if run.outcome.is_failure else None
-        if is_whole and run.completed:
+        basis = None
+        problem = found.message if found.outcome.is_failure else None
+        if is_whole and found.completed:
             try:
-                settings = settings_for(run)
-                own = measure(run.recording, settings)
-                measurements = with_errors(run, own, settings, companions, partial(show, "estimating the errors"))
+                basis = settings_for(found)
+                own, companions = measure(found.recording, basis), 1 if verify is None else 2 * verify
+                measurements = with_errors(found, own, basis, companions, partial(show, "estimating the errors"))
             except (EquilibriumError, ResultsError) as error:
-                settings, problem = None, str(error)
-        summary = summarise(run, measurements)
+                basis, problem = None, str(error)
+        summary = summarise(found, measurements)
         summary["results"] = {name: file_digest(folder.path / name) for name in files}
-        if changes:
-            summary["changes"] = [*changes]
-        if scene.controller:
+        if settings:
+            summary["changes"] = [*settings]
+        if robot.controller:
             from flexfmu.cosim.design.margins.loop_warnings import loop_sentences
 
-            summary["health"] |= loop_sentences(run)
-        if "learning" in summary and scene.learners:
+            summary["health"] |= loop_sentences(found)
+        if "learning" in summary and robot.learners:
             from flexfmu.cosim.design.learning import contraction_of
 
-            contraction = contraction_of(scene)
+            contraction = contraction_of(robot)
             summary["learning"]["contraction"] = None if contraction is None else asdict(contraction)
         folder.write("summary.json", to_json(summary))
         files.append("summary.json")
-        if has_report and is_whole:
+        if is_whole and (live or (not json if report is None else report)):
             show("drawing the report", None)
-            rest = settings.end_equilibrium if settings is not None and settings.dwell else None
+            rest = basis.end_equilibrium if basis is not None and basis.dwell else None
             if live:
                 from flexfmu.cosim.exchange.live import live_report
 
-                page = live_report(run, summary, rest)
+                page = live_report(found, summary, rest)
                 for reason in page.live.reasons:
                     console.show_note(f"report.html can't simulate {reason}")
             else:
                 from flexfmu.cosim.reports.plots import draw_plots
                 from flexfmu.cosim.reports.report import report_page
 
-                page = report_page(summary, draw_plots(run, rest))
+                page = report_page(summary, draw_plots(found, rest))
             folder.write("report.html", page.html)
             files.append("report.html")
         else:
             folder.remove("report.html")
     # standard output
-    if as_json:
+    if json:
         console.print_text(to_json(summary))
     else:
         from flexfmu.cosim.cli.run_summary import print_summary
         from flexfmu.model.choice_text import choice_sentence
 
-        print_summary(summary, choice_sentence(scene), folder.path, files)
+        print_summary(summary, choice_sentence(robot), folder.path, files)
     if problem is not None:
         console.show_note(f"{problem}; what was recorded is in {folder.path}")
         return console.FAILURE
@@ -257,14 +232,11 @@ def _run_ssp(
     What was recorded before a failure is written too. ``told`` are stop time and step [s] in place of the file's own, one of several
     systems in it, and the highest output derivative of its FMUs that is read.
     """
-    from flexfmu.cosim.engine.formats import check_format
     from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION
     from flexfmu.cosim.exchange.ssp.loading import load_ssp
     from flexfmu.cosim.experiment.recording import slave_facts
 
     console.end_loading()
-    for name in formats:
-        check_format(name)
     stop, step, ssd, output_order = told
     loaded = load_ssp(source, stop=stop, step=step, ssd=ssd or DESCRIPTION, output_order=output_order)
     folder = console.prepared_folder(out or RESULTS / source.stem)

@@ -22,6 +22,8 @@ from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
+import typer
+
 from flexfmu.cosim.cli.console import FAILURE
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import OutputFolder
@@ -54,16 +56,17 @@ _NEW_USER, _NEW_PROCESSES, _NEW_NETWORK = 0x10000000, 0x20000000, 0x40000000
 _PARENT_DEATH, _NO_NEW_PRIVILEGES, _SET_SECCOMP, _FILTER, _PATH_BENEATH, _PATH = 1, 38, 22, 2, 1, 0x200000
 
 
-def run_in_sandbox(folder: Path | None) -> int | None:
-    """Run this command in a process that writes into this folder and temporary files alone; its exit status, None in that process.
+def run_in_sandbox(folder: Path | None) -> None:
+    """Run this command in a process that writes into this folder and temporary files alone, and return in that process alone.
 
     The folder is made if it is missing.
 
     Raises:
+        typer.Exit: the process has ended, with its exit status.
         InputError: this system can't confine a process.
     """
     if WITHIN in os.environ:
-        return None
+        return
     bubblewrap = shutil.which("bwrap")
     if bubblewrap is None and not _landlock():
         raise InputError(
@@ -93,7 +96,7 @@ def run_in_sandbox(folder: Path | None) -> int | None:
             start_new_session=bubblewrap is not None,  # a guard begins its own
         )
         try:
-            return status if (status := process.wait()) >= 0 else 128 - status
+            status = process.wait()
         except KeyboardInterrupt:
             inner = process.pid
             # a guard passes it on; bubblewrap would end all at once; below it and its first process is ours
@@ -102,7 +105,8 @@ def run_in_sandbox(folder: Path | None) -> int | None:
                     inner = int(Path(f"/proc/{inner}/task/{inner}/children").read_text().split()[0])
             os.kill(inner, signal.SIGTERM)
             process.wait()
-            return FAILURE
+            raise typer.Exit(FAILURE) from None
+        raise typer.Exit(status if status >= 0 else 128 - status)
 
 
 def _landlock() -> int:

@@ -9,22 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flexfmu.cosim.cli.console import (
-    FAILURE,
-    check_page_compiler,
-    files_sentence,
-    load_named,
-    load_resolved,
-    own_model,
-    prepared_folder,
-    print_result,
-    print_text,
-    progress,
-    rich_output,
-    scene_name,
-    show_note,
-    usual_folder,
-)
+from flexfmu.cosim.cli import console
 from flexfmu.cosim.cli.options import OptionalScene, ProcessesOption
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import RESULTS, to_json
@@ -83,21 +68,20 @@ def compare(
     if sandbox:
         from flexfmu.cosim.cli.sandbox import run_in_sandbox
 
-        if (status := run_in_sandbox(out)) is not None:
-            return status
+        run_in_sandbox(out)
     # what can be wrong is checked before anything is simulated
     if live and out is None:
         raise InputError("--live is about comparison.html: add --out DIR")
     if live:
-        check_page_compiler()
+        console.check_page_compiler()
     meaning = dict(map(parse_mapping, mapping or ()))
     if measured is not None and (measured.is_dir() or not measured.exists()):
         raise InputError(f"there is no file {measured}")
     if out is not None:
-        prepared_folder(out)
+        console.prepared_folder(out)
     band = None if payload_band is None else parse_band(payload_band)
-    sources = given_sources(runs, variant or (), settings or (), load_named)
-    with progress() as show:
+    sources = given_sources(runs, variant or (), settings or (), console.load_named)
+    with console.progress() as show:
         found = compare_runs(compared_runs(sources, show, band, strict=strict), measured, meaning, delay, strict=strict)
     if not found.tables():
         names = " and ".join(run.name for run in found.runs)
@@ -107,11 +91,11 @@ def compare(
         )
     if out is not None:
         found.write(out, live=live)
-    print_result(json, found.as_data(), *_shown_comparison(found, out))
+    console.print_result(json, found.as_data(), *_shown_comparison(found, out))
     failed = [run for run in found.runs if run.failure]
     for run in failed:
-        show_note(f"{run.name}{'' if run.metrics else ' failed'}: {run.failure}")
-    return FAILURE if failed else 0
+        console.show_note(f"{run.name}{'' if run.metrics else ' failed'}: {run.failure}")
+    return console.FAILURE if failed else 0
 
 
 def _shown_comparison(found: Comparison, out: Path | None) -> Iterator[RenderableType]:
@@ -142,16 +126,16 @@ def paper(out: Path | None = None, json: bool = False) -> int:
     """
     from flexfmu.cosim.studies.paper.report import DEFAULT_FOLDER, print_report, run_paper
 
-    folder = prepared_folder(out or DEFAULT_FOLDER).path
-    with progress() as show:
+    folder = console.prepared_folder(out or DEFAULT_FOLDER).path
+    with console.progress() as show:
         report = run_paper(folder, progress=show)
     # standard output
     if json:
-        print_text(report.to_json())
+        console.print_text(report.to_json())
         return 0
-    with rich_output() as console:
-        print_report(report, console)
-    print_text(f"Report, tables and figures are in {folder}\n")
+    with console.rich_output() as terminal:
+        print_report(report, terminal)
+    console.print_text(f"Report, tables and figures are in {folder}\n")
     return 0
 
 
@@ -188,24 +172,11 @@ def workprec(
         hard: Run the hard cases instead, without SCENE: what makes each hard, and what happened. Default: measure SCENE.
         restart: Discard what an interrupted study of another scene has left in the folder. Default: refuse.
     """
-    metrics = [each.strip() for text in of or () for each in text.split(",") if each.strip()]
+    metrics = list(dict.fromkeys(each.strip() for text in of or () for each in text.split(",") if each.strip()))
     if metrics and (hard or only):
         raise InputError("--of goes without --only and --hard")
     if hard:
-        return _hard_cases(scene, out, only or [], settings or [], json)
-    return _study(scene, out, only or [], list(dict.fromkeys(metrics)), settings or [], json, restart)
-
-
-def _study(
-    source: str | None,
-    out: Path | None,
-    families: Sequence[str],
-    metrics: Sequence[str],
-    settings: Sequence[str],
-    as_json: bool,
-    restart: bool,
-) -> int:
-    """Measure, write the results, and print them; the exit status."""
+        return _hard_cases(scene, out, only or (), settings or (), json)
     from flexfmu.benchmarks.peers.compiled_peer import compiled_trials
     from flexfmu.benchmarks.peers.exudyn_trials import exudyn_trials
     from flexfmu.cosim.design.effects.accuracy import check_figures
@@ -222,26 +193,24 @@ def _study(
     )
 
     # usage
-    if source is None:
+    if scene is None:
         raise InputError("workprec needs a SCENE, or --hard for the hard cases, which have robots of their own")
-    unknown = [each for each in families if each not in FAMILIES]
+    unknown = [each for each in only or () if each not in FAMILIES]
     if unknown:
         raise InputError(f"--only takes {', '.join(FAMILIES)}, got {unknown[0]}")
     # measure, and write each file as soon as it is known
-    scene = load_resolved(source, settings)
-    check_figures(scene, dict.fromkeys(metrics, 1.0), "--of")
-    folder = prepared_folder(out or usual_folder(scene.name, settings) / "workprec")
-    about = about_scene(scene) | ({"of": list(metrics)} if metrics else {})
-    journal = WorkJournal(folder.path, "study", about, restart=restart, note=show_note)
-    with progress() as show:
+    robot = console.load_resolved(scene, settings)
+    check_figures(robot, dict.fromkeys(metrics, 1.0), "--of")
+    folder = console.prepared_folder(out or console.usual_folder(robot.name, settings) / "workprec")
+    about = about_scene(robot) | ({"of": metrics} if metrics else {})
+    journal = WorkJournal(folder.path, "study", about, restart=restart, note=console.show_note)
+    with console.progress() as show:
         try:
             if metrics:
-                study = run_metric_study(scene, metrics, show, journal)
+                study = run_metric_study(robot, metrics, show, journal)
             else:
                 peers = (compiled_trials, exudyn_trials)
-                study = run_study(
-                    scene, families or FAMILIES, lambda text: show(text, None), peers=peers, journal=journal
-                )
+                study = run_study(robot, only or FAMILIES, lambda text: show(text, None), peers=peers, journal=journal)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"{journal.done} runs are kept in {folder.path}; the same command continues"
@@ -253,7 +222,7 @@ def _study(
         folder.write("workprec.html", html(study))
         journal.remove()
     where = f"workprec.json, workprec.md, workprec.html and pictures are in {folder.path}"
-    print_result(as_json, data(study), terminal_table(study), *notes(study), where)
+    console.print_result(json, data(study), terminal_table(study), *notes(study), where)
     return 0
 
 
@@ -269,15 +238,15 @@ def _hard_cases(
         raise InputError(f"the hard cases have robots of their own: leave out --set {settings[0]}")
     # run them all, and write what happened
     cases = suite.hard_cases(names)
-    folder = prepared_folder(out or RESULTS / HARD_CASES)
-    with progress() as show:
+    folder = console.prepared_folder(out or RESULTS / HARD_CASES)
+    with console.progress() as show:
         results = suite.run_cases(cases, lambda text: show(text, None))
     data, files = suite.data(results), [f"{HARD_CASES}.{ending}" for ending in ("json", "md", "html")]
     for name, text in zip(files, (to_json(data), suite.markdown(results), suite.html(results)), strict=True):
         folder.write(name, text)
-    where = files_sentence(files, folder.path)
-    print_result(as_json, data, suite.terminal_table(results), suite.conclusion(results), where)
-    return 0 if all(result.report.passed for result in results) else FAILURE
+    where = console.files_sentence(files, folder.path)
+    console.print_result(as_json, data, suite.terminal_table(results), suite.conclusion(results), where)
+    return 0 if all(result.report.passed for result in results) else console.FAILURE
 
 
 def sweep(
@@ -339,11 +308,10 @@ def sweep(
     if sandbox:
         from flexfmu.cosim.cli.sandbox import run_in_sandbox
 
-        name = scene.rpartition(":")[2] if ".py:" in scene else scene_name(scene, settings)
-        folder = out or usual_folder(name, settings, "-sweep")
-        if (status := run_in_sandbox(folder)) is not None:
-            return status
-    model = own_model(scene, settings)
+        name = scene.rpartition(":")[2] if ".py:" in scene else console.scene_name(scene, settings)
+        folder = out or console.usual_folder(name, settings, "-sweep")
+        run_in_sandbox(folder)
+    model = console.own_model(scene, settings)
     if isinstance(model, SymbolicBlock):
         raise InputError(f"{scene} is a block without motion of its own; sweep a model that has it as a part")
     given = {"--metrics": metrics, "--record-step": record_step, "--processes": processes, "--dask": dask}
@@ -357,21 +325,21 @@ def sweep(
             "--live simulates a scene in the page; a model has its page by flexfmu build --platform wasm32"
         )
     if live:
-        check_page_compiler()
-    robot = None if model else load_resolved(scene, settings, keeps_accuracy=True)
+        console.check_page_compiler()
+    robot = None if model else console.load_resolved(scene, settings, keeps_accuracy=True)
     wanted = _swept_cases(robot, vary or [], sample, seed, cases)
     if record_step is not None and not record:
         raise InputError("--record-step goes with --record SIGNAL")
     selection = Selection(list(dict.fromkeys(record)), step=record_step) if record else None
     names = None if metrics is None else [each.strip() for text in metrics for each in text.split(",")]
-    folder = out or usual_folder(scene.rpartition(":")[2] if robot is None else robot.name, settings, "-sweep")
+    folder = out or console.usual_folder(scene.rpartition(":")[2] if robot is None else robot.name, settings, "-sweep")
     done = [0, 0]
     try:
-        with progress() as show:
+        with console.progress() as show:
 
             def report(finished: int, total: int) -> None:
                 if not any(done) and 0 < finished < total:
-                    show_note(f"continuing: {finished} of {total} done")
+                    console.show_note(f"continuing: {finished} of {total} done")
                 done[:] = finished, total
                 show(f"{finished} of {total} cases", finished / total if total else 1.0)
 
@@ -380,7 +348,7 @@ def sweep(
                 result = sweep_model(model, wanted, *times, record=record, folder=folder, restart=restart, show=report)
             elif robot is not None:
                 result = sweep_scene(
-                    ready_to_sweep(robot, wanted, show, show_note),
+                    ready_to_sweep(robot, wanted, show, console.show_note),
                     wanted,
                     metrics=names,
                     record=selection,
@@ -394,8 +362,8 @@ def sweep(
             files = write_files(result, folder, plot=live or (not json if plot is None else plot), live=live)
     except KeyboardInterrupt:
         where = f"{done[0]} of {done[1]} cases are in {folder}" if any(done) else "before the first case"
-        show_note(f"interrupted: {where}; the same command continues")
-        return FAILURE
+        console.show_note(f"interrupted: {where}; the same command continues")
+        return console.FAILURE
     data = {
         "scene": result.name,
         "cases": len(result),
@@ -403,8 +371,8 @@ def sweep(
         "metrics": result.summary(),
         "files": [str(path) for path in files],
     }
-    print_result(json, data, *_shown_sweep(result, files))
-    return FAILURE if len(result.messages) == len(result) else 0
+    console.print_result(json, data, *_shown_sweep(result, files))
+    return console.FAILURE if len(result.messages) == len(result) else 0
 
 
 def _swept_cases(robot: Scene | None, vary: list[str], sample: str | None, seed: int, path: Path | None) -> Cases:
@@ -426,7 +394,7 @@ def _swept_cases(robot: Scene | None, vary: list[str], sample: str | None, seed:
             raise InputError(f"--vary {twice[0]} is there twice: give all of its values at once, {twice[0]}=1,2,3")
         found, notes = make_cases(dict(varied), sample, seed, robot)
     for note in notes:
-        show_note(note)
+        console.show_note(note)
     return found
 
 

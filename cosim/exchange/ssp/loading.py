@@ -234,7 +234,7 @@ def _named(component: Component) -> Iterator[None]:
     try:
         yield
     except FmuFileError as error:
-        reason = re.sub(r"^\S*/flexfmu-ssp-\S+\.fmu", component.source, str(error))
+        reason = re.sub(r"^\S*/flexfmu-\S+-ssp-\S+\.fmu", component.source, str(error))
         raise FmuFileError(f"{component.where}: {reason}") from error
     except InputError as error:
         raise SspError(f"{component.where}: {error}") from error

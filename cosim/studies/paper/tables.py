@@ -289,16 +289,8 @@ POINTS = 2001
 """Instants between two breakpoints: a smooth maximum is met to about (pi / POINTS)²/8 < 1e-6 relative."""
 
 
-def curves() -> Mapping[str, Mapping[str, Any]]:
-    """Label of a curve → the scene's ``trajectory.blend``."""
-    found: Mapping[str, Mapping[str, Any]] = read_data("cases")["curves"]
-    return found
-
-
-def profiles() -> Mapping[str, Mapping[str, Any]]:
-    """Label of a motion profile → the scene's ``trajectory.profile``."""
-    found: Mapping[str, Mapping[str, Any]] = read_data("cases")["profiles"]
-    return found
+CASES: Mapping[str, Mapping[str, Any]] = read_data("cases")
+"""``curves``: label → the scene's ``trajectory.blend``; ``profiles``: label of a motion profile → its ``trajectory.profile``."""
 
 
 def case_scene(scene: str, profile: str, curve: str, **changes: Any) -> Scene:
@@ -313,7 +305,7 @@ def case_scene(scene: str, profile: str, curve: str, **changes: Any) -> Scene:
         KeyError: no such label.
         SceneError: the scene doesn't exist, or a changed value is out of range.
     """
-    trajectory = {"profile": dict(profiles()[profile]), "blend": dict(curves()[curve]), **changes}
+    trajectory = {"profile": dict(CASES["profiles"][profile]), "blend": dict(CASES["curves"][curve]), **changes}
     return load_scene(scene).replace({f"trajectory.{key}": value for key, value in trajectory.items()})
 
 
@@ -438,7 +430,7 @@ def simulated_cases(tables: Iterable[PaperTable]) -> tuple[PaperCase, ...]:
         if table.scene
         for quantity in table.quantities
         for row in quantity.rows
-        if row in profiles()
+        if row in CASES["profiles"]
         for column in quantity.columns
     )
     return tuple(dict.fromkeys(cases))
@@ -446,7 +438,7 @@ def simulated_cases(tables: Iterable[PaperTable]) -> tuple[PaperCase, ...]:
 
 def canonical_curve(label: str) -> str:
     """The first label of the same curve: ``Clothoid`` and ``Clot.`` are one."""
-    return next(other for other, blend in curves().items() if blend == curves()[label])
+    return next(other for other, blend in CASES["curves"].items() if blend == CASES["curves"][label])
 
 
 def simulate(cases: Iterable[PaperCase]) -> Iterator[tuple[PaperCase, SimulatedCase]]:

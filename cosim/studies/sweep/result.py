@@ -12,7 +12,7 @@ import csv
 import io
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -26,7 +26,7 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import Rows, cell_text, safe_cell, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.many.journal import Journal, difference
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, metric
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, MetricDefinition, definition, display, metric
 from flexfmu.cosim.reports.chart import INK, PALETTE, Curve, Panel
 from flexfmu.cosim.reports.page import FIRST_METRICS, TILES, Page, Plot, Table
 from flexfmu.cosim.reports.report import of_scene
@@ -96,9 +96,6 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
             "message": self.messages.get(number, ""),
         }
 
-    def __iter__(self) -> Iterator[dict[str, Any]]:
-        return (self[number] for number in range(len(self)))
-
     @property
     def failed(self) -> list[dict[str, Any]]:
         """The rows of the cases that failed."""
@@ -148,31 +145,24 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
             return f"{label} [{shown_unit(unit)}]" if (unit := self.units.get(name)) else label
 
         keys = {labelled(key, key): column for key, column in zip(self.cases.keys, self.columns(), strict=True)}
-        labels = [ALL_METRICS[name].label if name in ALL_METRICS else name for name in self.metrics]
-        titles = [labelled(name, label) for name, label in zip(self.metrics, labels, strict=True)]
+        titles = [labelled(name, self._definition(name).label) for name in self.metrics]
         failed = f", {len(self.messages)} failed" if self.messages else ""
         return draw_cases(f"{self.name}: {len(self)} cases{failed}", keys, titles, self.values)
 
     def summary(self) -> dict[str, dict[str, Any]]:
         """Smallest, median and largest value of each metric, the cases of the extremes with their values, and the number of values."""
-        found = {}
+        found = dict[str, dict[str, Any]]()
         for i, name in enumerate(self.metrics):
             column = self.values[:, i]
             there = np.flatnonzero(~np.isnan(column))
             if not there.size:
                 continue
-            low, high = (int(there[pick(column[there])]) for pick in (np.argmin, np.argmax))
-            found[name] = {
-                "unit": self.units.get(name, ""),
-                "min": float(column[low]),
-                "min_case": low,
-                "min_values": self.cases.changes(low),
-                "median": float(np.median(column[there])),
-                "max": float(column[high]),
-                "max_case": high,
-                "max_values": self.cases.changes(high),
-                "count": int(there.size),
-            }
+            found[name] = {"unit": self.units.get(name, ""), "count": int(there.size)}
+            for end, pick in (("min", np.argmin), ("max", np.argmax)):
+                case = int(there[pick(column[there])])
+                at = {end: float(column[case]), f"{end}_case": case, f"{end}_values": self.cases.changes(case)}
+                found[name] |= at
+            found[name]["median"] = float(np.median(column[there]))
         return found
 
     def table(self) -> Table:
@@ -224,26 +214,24 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
             page = swept_page(page, self.scene, spans, shown[:TILES])
         return page.html
 
+    def _definition(self, name: str) -> MetricDefinition:
+        """What a metric is; of a model from equations, values of outputs have their own names and units."""
+        unit = self.units.get(name, "")
+        return ALL_METRICS.get(name) or MetricDefinition(name, unit, "", display=(unit, float))
+
     def _span(self, name: str) -> str:
         """From where to where a metric goes, in a sentence."""
-        each = self.summary()[name]
-        label = ALL_METRICS[name].label if name in ALL_METRICS else name
-        low, high = (
-            display(name, each[end], 4)
-            if name in ALL_METRICS
-            else f"{each[end]:.4g} {shown_unit(each['unit'])}".strip()
-            for end in ("min", "max")
-        )
+        info, each = self._definition(name), self.summary()[name]
+        low, high = (f"{info.displayed(each[end]):.4g} {info.display_unit}".rstrip() for end in ("min", "max"))
         where = [self.case_text(each[end]) for end in ("min_case", "max_case")]
-        return f"{label} goes from {low} ({where[0]}) to {high} ({where[1]})."
+        return f"{info.label} goes from {low} ({where[0]}) to {high} ({where[1]})."
 
     def _plot(self, name: str, numbers: Mapping[str, Sequence[float]]) -> Plot:
         """A metric over the first key with numbers: a line for each combination of the others where these are few, otherwise points."""
         along = next((key for key, column in numbers.items() if len({*column}) > 1), "case")
         x = np.array(numbers.get(along, range(len(self))), dtype=float)
-        factor, unit, label = 1.0, shown_unit(self.units.get(name, "")), name
-        if name in ALL_METRICS:
-            factor, unit, label = definition(name).displayed(1.0), definition(name).display_unit, definition(name).label
+        info = self._definition(name)
+        factor, unit, label = info.displayed(1.0), info.display_unit, info.label
         y = factor * self.values[:, self.metrics.index(name)]
         groups: dict[str, list[int]] = {}
         for number in range(len(self)):

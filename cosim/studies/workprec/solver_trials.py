@@ -22,7 +22,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from scipy.integrate import solve_ivp
 
-from flexfmu.cosim.control.blocks.code import compile_function
+from flexfmu.cosim.control.blocks.code import bound, compile_function
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.accuracy import WorkCurve, WorkPrecisionTrial
 from flexfmu.cosim.experiment.timing import fastest
@@ -193,13 +193,8 @@ class BoundFunction:
     def __init__(self, function: casadi.Function, piece: RealArray, output: int = 0) -> None:
         self._time, self._state, self._piece = np.zeros(1), np.zeros(function.numel_in(1)), piece.copy()
         self._result = np.zeros(function.numel_out(output))
-        self._function = function
-        buffer: Any
-        buffer, self._evaluate = function.buffer()
-        self._kept = buffer  # the call needs it
-        for i, values in enumerate((self._time, self._state, self._piece)):
-            buffer.set_arg(i, values.data)
-        buffer.set_res(output, self._result.data)
+        arguments, results = (self._time, self._state, self._piece), [*[None] * output, self._result]
+        self._kept, self._evaluate = bound(function, arguments, results)
 
     def __call__(self, t: float, z: RealArray) -> RealArray:
         self._time[0] = t

@@ -293,18 +293,15 @@ def accuracy_rows(study: WorkPrecisionStudy) -> list[tuple[str, ...]]:
     rows = list[tuple[str, ...]]()
     for name in study.families:
         for error in ACCURACIES:
-            best = cheapest(study.family(name), error)
-            alone = "; numerics alone" if error < study.known.get(name, 0.0) else ""
-            cells = (
-                ("–", "", "not reached")
-                if best is None
-                else (f"{1e3 * (best.time or 0.0):.3g}", best.line, f"{best.label}{alone}")
-            )
+            best, cells = cheapest(study.family(name), error), ("–", "", "not reached")
+            if best is not None:
+                alone = "; numerics alone" if error < study.known.get(name, 0.0) else ""
+                cells = f"{1e3 * (best.time or 0.0):.3g}", best.line, f"{best.label}{alone}"
             rows.append((name, f"{error:.0e}", *cells))
     return rows
 
 
-ACCURACY_COLUMNS = ("metric", "error", "time ms", "effects", "setting")
+ACCURACY_COLUMNS: tuple[str, ...] = ("metric", "error", "time ms", "effects", "setting")
 
 
 ASKED = 1e-5, 1e-3
@@ -368,24 +365,22 @@ def advantages(study: WorkPrecisionStudy) -> dict[str, tuple[float, float]]:
     return found
 
 
-COLUMNS = ("family", "line", "setting", "error", "time ms", "x real time", "note")
+COLUMNS: tuple[str, ...] = ("family", "line", "setting", "error", "time ms", "x real time", "note")
+
+NUMBERS = ("error", "time ms", "x real time")
+"""Columns of numbers."""
 
 
 def terminal_table(study: WorkPrecisionStudy) -> Table:
-    """One line for each trial."""
+    """One line for each trial; of metrics, for each accuracy."""
+    what, heads = f"errors relative to {1e3 * study.scale:.3g} mm, the largest elastic deviation", COLUMNS
+    rows: list[tuple[str, ...]] = [row(study, trial) for trial in study.trials]
     if study.is_of_metrics:
-        title = f"{study.scene.name}: the cheapest setting for an error of each metric"
-        table = titled_table(
-            title, *ACCURACY_COLUMNS[:2], Column("time ms", justify="right"), *ACCURACY_COLUMNS[3:], stacks=True
-        )
-        for cells in accuracy_rows(study):
-            table.add_row(*cells)
-        return table
-    title = f"{study.scene.name}: errors relative to {1e3 * study.scale:.3g} mm, the largest elastic deviation"
-    numbers = [Column(each, justify="right") for each in COLUMNS[3:6]]
-    table = titled_table(title, *COLUMNS[:3], *numbers, *COLUMNS[6:])
-    for trial in study.trials:
-        table.add_row(*row(study, trial))
+        what, heads, rows = "the cheapest setting for an error of each metric", ACCURACY_COLUMNS, accuracy_rows(study)
+    columns = [Column(each, justify="right" if each in NUMBERS else "left") for each in heads]
+    table = titled_table(f"{study.scene.name}: {what}", *columns, stacks=study.is_of_metrics)
+    for cells in rows:
+        table.add_row(*cells)
     return table
 
 
@@ -415,17 +410,18 @@ def notes(study: WorkPrecisionStudy) -> list[str]:
 
 def markdown(study: WorkPrecisionStudy) -> str:
     """Table and notes."""
-    rule = [":--", ":--", ":--", "--:", "--:", "--:", ":--"]
-    table = markdown_table(COLUMNS, rule, [row(study, trial) for trial in study.trials])
-    tables = [table]
-    if study.is_of_metrics:
-        tables.insert(0, markdown_table(ACCURACY_COLUMNS, [":--", "--:", "--:", ":--", ":--"], accuracy_rows(study)))
-    return "\n\n".join([f"# Work and precision: {study.scene.name}", *notes(study), *tables]) + "\n"
+    tables = {ACCURACY_COLUMNS: accuracy_rows(study)} if study.is_of_metrics else {}
+    tables[COLUMNS] = [row(study, trial) for trial in study.trials]
+    texts = [
+        markdown_table(heads, ["--:" if each in NUMBERS else ":--" for each in heads], rows)
+        for heads, rows in tables.items()
+    ]
+    return "\n\n".join([f"# Work and precision: {study.scene.name}", *notes(study), *texts]) + "\n"
 
 
 def data(study: WorkPrecisionStudy) -> dict[str, Any]:
     """The study as plain data."""
-    return {
+    found: dict[str, Any] = {
         "scene": study.scene.name,
         "duration": study.duration,
         "scale": study.scale,
@@ -437,10 +433,8 @@ def data(study: WorkPrecisionStudy) -> dict[str, Any]:
         "trials": [vars(trial) for trial in study.trials],
         "remarks": study.remarks,
         "floors": [{"metric": name, "line": line, "error": error} for (name, line), error in study.floors.items()],
-        **(
-            {"accuracies": [dict(zip(ACCURACY_COLUMNS, row, strict=True)) for row in accuracy_rows(study)]}
-            if study.is_of_metrics
-            else {}
-        ),
         "versions": versions(),
     }
+    if study.is_of_metrics:
+        found["accuracies"] = [dict(zip(ACCURACY_COLUMNS, row, strict=True)) for row in accuracy_rows(study)]
+    return found

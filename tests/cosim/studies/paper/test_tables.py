@@ -66,11 +66,11 @@ def test_simulations_are_the_twelve_combinations_twice_and_the_extended_curves()
     """Every simulation that the tables need is run, and none twice."""
     cases = tables.simulated_cases(map(tables.printed_table, tables.TABLES))
     assert len(cases) == len(set(cases)) == 12 * 2 + 4 * 2
-    assert {profile for _, profile, _ in cases} == set(tables.profiles())
+    assert {profile for _, profile, _ in cases} == set(tables.CASES["profiles"])
     assert (
         {curve for _, _, curve in cases}
         == {"Lamé", "Clothoid", "Polar", "Lamé Ext", "Clot. Ext"}
-        <= set(tables.curves())
+        <= set(tables.CASES["curves"])
     )
 
 
