@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
 from itertools import groupby
-from typing import Self
+from typing import Any, Self
 
 import casadi
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import eigh, expm
 
 from flexfmu.model.beams import LINKS, fibre_strains
@@ -68,6 +69,9 @@ class Response:
         position_by, torque_by: derivatives (P, N, 2, m); m is 0 where none are wanted.
         end_by: derivatives (P, 2, n, m).
         loads, loads_by: the further outputs (P, N, r) that were asked for, and their derivatives (P, N, r, m).
+        references, references_by: angles, speeds and accelerations of the joints (3, N, 2) [rad, rad/s, rad/s²] that it responds to, and
+            their derivatives (N, 6, m).
+        duration: of the motion [s].
     """
 
     position: RealArray
@@ -78,6 +82,9 @@ class Response:
     end_by: RealArray
     loads: RealArray
     loads_by: RealArray
+    references: RealArray
+    references_by: RealArray
+    duration: float
 
 
 class ElasticResponse:
@@ -147,6 +154,7 @@ class ElasticResponse:
         if by is None:
             values = self._values(z, references, duration)
             out, end_by = np.empty((*values.shape[:2], values.shape[2] - n, 0)), np.empty((*end.shape, 0))
+            by = np.empty((len(references), 6, 0))
         else:
             linear = self._linearised(z, references, duration)
             values, explicit = linear.values, linear.by_references @ by.reshape(1, self.steps, 3, 6, -1)
@@ -154,12 +162,15 @@ class ElasticResponse:
                 explicit[..., -1] += linear.by_duration
             matrices = _Matrices(linear, self.steps)
             out, end_by = matrices.derivatives(linear, explicit)
-            self._matrices = matrices.rounded()
+            self._matrices = matrices.kept(self._shared)
             end_by[:, 1] /= duration
             if by_duration:
                 end_by[:, 1, :, -1] -= end[:, 1] / duration
         torque, position, loads = np.split(values[..., n:], (2, 4), axis=2)
-        return Response(position, torque, end, out[:, :, 2:4], out[:, :, :2], end_by, loads, out[:, :, 4:])
+        of_time = references.reshape(-1, 3, 2).swapaxes(0, 1)
+        return Response(
+            position, torque, end, out[:, :, 2:4], out[:, :, :2], end_by, loads, out[:, :, 4:], of_time, by, duration
+        )
 
     def transfer(self, duration: float) -> RealArray:
         """Elastic coordinates and rates at the end of the last motion by those at its start, (P, 2, n, 2, n)."""
@@ -215,7 +226,7 @@ class ElasticResponse:
 
     def _renewed(self, z: RealArray, references: RealArray, duration: float) -> _Matrices:
         self._matrices = None
-        self._matrices = _Matrices(self._linearised(z, references, duration, self._shared), self.steps).rounded()
+        self._matrices = _Matrices(self._linearised(z, references, duration, self._shared), self.steps).kept()
         return self._matrices
 
     def _linearised(self, z: RealArray, references: RealArray, duration: float, shared: int = 1) -> _Linearised:
@@ -265,27 +276,28 @@ class _Matrices:
     def __init__(self, linear: _Linearised, steps: int) -> None:
         count, some, *_ = linear.by_z.shape
         n = linear.by_z.shape[-1] // 3
-        self._steps, self._shared, h = steps, steps // some, 1.0 / steps
-        self._inverse = np.asarray(
-            np.linalg.inv(linear.by_z[:, :, :, :n].reshape(count, some, 3 * n, 3 * n)), dtype=float
-        )
-        self._by_state = self._inverse @ linear.by_state[:, :, :, :n].reshape(count, some, 3 * n, 2 * n)
+        self._steps, h = steps, 1.0 / steps
+        of_forces = linear.by_z[:, :, :, :n].reshape(count, some, 3 * n, 3 * n)
+        self._inverse: NDArray[Any] = np.linalg.inv(of_forces)
+        self._by_state: NDArray[Any] = self._inverse @ linear.by_state[:, :, :, :n].reshape(count, some, 3 * n, 2 * n)
         self._weights = np.stack([h * h * METHOD.whole_twice, h * METHOD.whole])
         self._transition = np.kron(np.array([[1.0, h], [0.0, 1.0]]), np.eye(n)) - self._added(self._by_state)
 
-    def rounded(self) -> Self:
-        """Keep single precision, with which Newton's method converges as fast."""
-        self._inverse, self._by_state = self._inverse.astype(np.float32), self._by_state.astype(np.float32)
+    def kept(self, shared: int = 1) -> Self:
+        """What Newton's method needs, for which single precision is enough: the matrices in the middle of each ``shared`` ones."""
+        some = slice(shared // 2, None, shared)
+        self._inverse = self._inverse[:, some].astype(np.float32)
+        self._by_state = self._by_state[:, some].astype(np.float32)
         return self
 
     def solved(self, loads: RealArray) -> RealArray:
         """z (P, N, n) under loads on the stages of the same shape, from rest."""
         count, some, size, _ = self._inverse.shape
         # steps with the same matrices as columns
-        right = loads.reshape(count, some, self._shared, size).swapaxes(2, 3)
+        right = loads.reshape(count, some, self._steps // some, size).swapaxes(2, 3)
         found: RealArray = self._inverse @ right.astype(self._inverse.dtype)
         states = self._states(self._added(found).swapaxes(2, 3).reshape(count, self._steps, 2 * size // 3, 1))
-        states = states[:, :-1].reshape(count, some, self._shared, 2 * size // 3).swapaxes(2, 3)
+        states = states[:, :-1].reshape(count, some, self._steps // some, 2 * size // 3).swapaxes(2, 3)
         found -= self._by_state @ states.astype(self._by_state.dtype)
         return found.swapaxes(2, 3).reshape(loads.shape)
 
@@ -310,7 +322,7 @@ class _Matrices:
     @property
     def transfer(self) -> RealArray:
         """The last state by the first, (P, 2 n, 2 n)."""
-        found = np.linalg.matrix_power(self._transition, self._shared)
+        found = np.linalg.matrix_power(self._transition, self._steps // self._transition.shape[1])
         return reduce(lambda before, k: found[:, k] @ before, range(1, found.shape[1]), found[:, 0])
 
     def _added(self, z: RealArray) -> RealArray:
@@ -325,7 +337,7 @@ class _Matrices:
         count, steps, size, columns = loads.shape
         states = np.zeros((count, steps + 1, size, columns))
         for k in range(steps):
-            states[:, k + 1] = self._transition[:, k // self._shared] @ states[:, k] + loads[:, k]
+            states[:, k + 1] = self._transition[:, k * self._transition.shape[1] // steps] @ states[:, k] + loads[:, k]
         return states
 
 
@@ -362,15 +374,15 @@ class FleetResponse:
 
     def of_motion(self, motion: DesignedMotion, *, derivatives: bool = True) -> Response:
         """The response as of `ElasticResponse`; the end states of robots with fewer coordinates end with zeros."""
-        return self._joined([part.of_motion(motion, derivatives=derivatives) for part in self.parts])
+        by = motion.derivatives(self.fractions) if derivatives else None
+        return self.respond(np.hstack(list(motion.evaluate(self.fractions))), motion.duration, by)
 
-    def of_references(self, references: RealArray, duration: float) -> Response:
-        """The response to joint references (3, N, 2) at `fractions` of a duration [s], without derivatives."""
-        return self._joined([part.respond(np.hstack(list(references)), duration) for part in self.parts])
-
-    @staticmethod
-    def _joined(found: Sequence[Response]) -> Response:
-        return Response(*(joined([getattr(each, field.name) for each in found]) for field in fields(Response)))
+    def respond(self, references: RealArray, duration: float, by: RealArray | None = None) -> Response:
+        """The response to joint references (N, 6) at ``fractions``, as of `ElasticResponse`; the last variable is the duration."""
+        found = [part.respond(references, duration, by, by_duration=True) for part in self.parts]
+        names = ("position", "torque", "end", "position_by", "torque_by", "end_by", "loads", "loads_by")
+        whole: dict[str, Any] = {name: joined([getattr(each, name) for each in found]) for name in names}
+        return replace(found[0], **whole)
 
     def transfer(self, duration: float) -> RealArray:
         """See `ElasticResponse.transfer`."""

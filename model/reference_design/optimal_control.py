@@ -19,7 +19,7 @@ displacement of the end effector by the mode. It bounds the free vibration after
 a vector [place, rate], is bounded by half planes in `DIRECTIONS`.
 
 A cycle has several ways, each with its own robots, first motion and limits: the programmes have the variables of all, and RMS torques and
-energies of the whole cycle with its pauses (`MotorLoads`). What a way leaves of vibration decays in the pause after it, the rest
+energies of the whole cycle with its pauses (`Loads`). What a way leaves of vibration decays in the pause after it, the rest
 swings on in the next way, and so on round the cycle (`LeftVibration`): the bounds are those of the periodic motion.
 
 Sources: J. Nocedal and S. Wright, *Numerical Optimization*, Springer 2006, sections 15.6 and 18.5; R. Fletcher and E. Sainz de la
@@ -29,10 +29,9 @@ Maza, Nonlinear programming and nonsmooth optimization by successive linear prog
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
-from itertools import pairwise
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -41,9 +40,7 @@ from scipy.linalg import block_diag, expm
 
 from flexfmu.model.reference_design.elastic_response import (
     LINK_LOADS,
-    METHOD,
     FleetResponse,
-    Response,
     Rest,
     RobotVariant,
     VariantModel,
@@ -53,9 +50,9 @@ from flexfmu.model.reference_design.elastic_response import (
     joined,
 )
 from flexfmu.model.reference_design.joint_spline import DesignedMotion
+from flexfmu.model.reference_design.loads import OF_CYCLE, ROOTS, Convex, Drives, Loads, power, weight_of_squares
 from flexfmu.model.reference_design.quadratic_programme import solve_quadratic
 from flexfmu.model.scene.errors import EquilibriumError
-from flexfmu.model.scene.motor import Motor
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 
@@ -66,7 +63,7 @@ GROUPS = (
     "torque", "speed", "acceleration", "jerk", "clearance", "residual", "rms_torque", "power", "energy", "supply_power",
     "regenerated_power", "regenerated_energy", "motor_torque", "motor_rms_torque", *LINK_LOADS,
 )  # fmt: skip
-CLEARANCE, RESIDUAL = 4, 5
+RATES, CLEARANCE, RESIDUAL = GROUPS[1:4], 4, 5
 
 DEPTH = 1e-3
 """Depth [m] that counts as much as a torque twice as large as allowed."""
@@ -80,62 +77,11 @@ DIRECTIONS = np.arange(8) * np.pi / 4
 WORST = 3
 """Number of variants whose torques and distances count at an instant: those of variants with similar payloads are similar."""
 
-OF_CYCLE: Mapping[str, str] = {
-    "rms_torque": "square_torque",
-    "motor_rms_torque": "square_motor_torque",
-    "energy": "energy",
-    "regenerated_energy": "regenerated_energy",
-}
-"""Loads of the whole cycle, not of an instant, with what their ways add to them."""
-
-ROOTS, TINY = ("rms_torque", "motor_rms_torque"), 1e-9
-"""Those that are roots of means over its time, and an RMS torque that is none [N m, or 1 of motors]."""
+TINY = 1e-9
+"""An RMS torque that is none [N m, or 1 of motors]."""
 
 SLOW = 6.0
 """Modes up to this multiple of a variant's lowest frequency count; smooth references don't excite faster ones."""
-
-
-@dataclass(frozen=True)
-class Drives:
-    """The motors of both joints with their gears; figures are those of the motors' shafts.
-
-    A gear of ratio i and efficiency η transmits a torque τ of the joint as τ / (i η) while power flows into the robot, as τ η / i while it
-    flows back, and as τ / i at rest; the rotor of inertia J adds J i q̈, see `flexfmu.cosim.metrics.motors`.
-
-    Attributes:
-        motors: of both joints.
-        inertia: inertia of motors that the robot's torques contain [kg m²].
-    """
-
-    motors: tuple[Motor, Motor]
-    inertia: float = 0.0
-
-    def torque(self, speed: RealArray, acceleration: RealArray, torque: RealArray) -> tuple[RealArray, ...]:
-        """Torques of the shafts (P, N, 2) [N m], and their derivatives by acceleration and torque of the joints.
-
-        Args:
-            speed, acceleration: of the joints (N, 2) [rad/s, rad/s²].
-            torque: of the joints (P, N, 2) [N m].
-        """
-        ratio, efficiency, rotor = (
-            np.array([getattr(motor, name) for motor in self.motors])
-            for name in ("gear_ratio", "gear_efficiency", "rotor_inertia")
-        )
-        load = torque - self.inertia * acceleration
-        factor = efficiency ** -np.sign(load * speed) / ratio
-        at_shaft = factor * load + rotor * ratio * acceleration
-        return at_shaft, rotor * ratio - self.inertia * factor, factor
-
-    def largest(self, speed: RealArray) -> tuple[RealArray, RealArray]:
-        """The largest torques of the shafts (N, 2) [N m] at speeds of the joints (N, 2) [rad/s], and their derivatives by the speeds."""
-        pairs = [each.largest_torque(each.gear_ratio * v) for each, v in zip(self.motors, speed.T, strict=True)]
-        torque, slope = (np.stack(each, axis=-1) for each in zip(*pairs, strict=True))
-        return torque, slope * [each.gear_ratio for each in self.motors]
-
-    @property
-    def continuous(self) -> RealArray:
-        """The torques that the shafts can hold for ever (2,) [N m]."""
-        return np.array([each.continuous_torque for each in self.motors])
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,30 +89,28 @@ class MotionLimits:
     """Limits of a motion for P variants.
 
     Attributes:
-        torque: largest magnitude of both motor torques (P, 2) [N m].
+        loads: largest magnitudes of `Loads` at each instant, by name, of both joints (P, 2) or (P,).
         speed, acceleration, jerk: largest magnitudes of the joint references [rad/s, rad/s², rad/s³]; one or one for each joint.
         residual: largest displacement of the end effector by vibration after the motion [m].
         distances: to what the end effector must keep clear of.
-        loads: largest values of further figures of `MotorLoads` at each instant, by name.
         pause: time at rest after the motion [s], which RMS torques contain.
         settled_within: time after the motion from which the residual vibration counts [s].
-        drives: the motors, for their figures; None for none.
+        drives: the motors, for their loads; None for none.
     """
 
-    torque: RealArray
+    loads: Mapping[str, RealArray]
     speed: float | RealArray
     acceleration: float | RealArray
     jerk: float | RealArray
     residual: float
     distances: Distances
-    loads: Mapping[str, RealArray] = field(default_factory=dict)
     pause: float = 0.0
     settled_within: float = 0.0
     drives: Drives | None = None
 
     def tightened(self, factors: Mapping[str, float]) -> MotionLimits:
         """The limits, each divided by a factor, 1 where there is none; distances are shorter by ``clearance`` [m]."""
-        names, distances = ("torque", "speed", "acceleration", "jerk", "residual"), self.distances
+        distances = self.distances
 
         def shorter(points: RealArray) -> tuple[RealArray, RealArray]:
             distance, gradient = distances(points)
@@ -175,155 +119,13 @@ class MotionLimits:
         return replace(
             self,
             distances=shorter if "clearance" in factors else distances,
-            **{name: getattr(self, name) / factors.get(name, 1.0) for name in names},
+            **{name: getattr(self, name) / factors.get(name, 1.0) for name in (*RATES, "residual")},
             loads={name: limit / factors.get(name, 1.0) for name, limit in self.loads.items()},
         )
 
     def of_variants(self, chosen: NDArray[np.intp]) -> MotionLimits:
         """The limits of some variants."""
-        loads = {name: limit[chosen] for name, limit in self.loads.items()}
-        return replace(self, torque=self.torque[chosen], loads=loads)
-
-
-class MotorLoads:
-    """What motors and their supply have to do for a motion of P variants, at N instants or over motion and pause, with derivatives.
-
-    Its figures are by name: ``torque`` (P, N, 2) [N m] and ``power`` (P, N, 2) [W] of both motors, positive into the robot;
-    ``square_torque`` (P, 2) [N² m² s], the integral of its square; ``energy`` (P,) [J] that they give, without what they take back;
-    ``supply_power`` and ``regenerated_power`` (P, N) [W] of both together, zero where the other one flows, and ``regenerated_energy`` (P,)
-    [J], the integral of the latter; ``motor_torque`` (P, N, 2) of the shafts relative to the largest at their speeds, and
-    ``square_motor_torque`` (P, 2) [s], the integral of the square relative to the torque that they can hold for ever; and those of `LINK_LOADS`.
-
-    Args:
-        fractions: instants (N,), the stages of equal steps, as fractions of the duration.
-        holding: torques at rest after the motion (P, 2) [N m].
-        pause: time at rest after the motion [s].
-        drives: the motors, for their figures.
-        link_loads: names of those that responses have.
-    """
-
-    def __init__(
-        self,
-        fractions: RealArray,
-        holding: RealArray | float = 0.0,
-        pause: float = 0.0,
-        drives: Drives | None = None,
-        link_loads: tuple[str, ...] = (),
-    ) -> None:
-        steps = len(fractions) // 3
-        self._fractions, self._holding, self._pause, self._drives = fractions, holding, pause, drives
-        self.weights = np.tile(METHOD.whole, steps) / steps
-        edges = np.cumsum([0, *(LINK_LOADS[name][0] for name in link_loads)]).tolist()
-        self._link_loads = {name: slice(*each) for name, each in zip(link_loads, pairwise(edges), strict=True)}
-
-    @property
-    def drives(self) -> Drives:
-        """The motors, where there are any."""
-        assert self._drives is not None
-        return self._drives
-
-    def values(self, names: Iterable[str], motion: DesignedMotion, response: Response) -> dict[str, RealArray]:
-        """The figures of these names."""
-        return self.of_references(names, motion.evaluate(self._fractions), motion.duration, response)
-
-    def of_references(
-        self, names: Iterable[str], references: RealArray, duration: float, response: Response
-    ) -> dict[str, RealArray]:
-        """The figures for joint references (3, N, 2) [rad, rad/s, rad/s²] of a duration [s], and the response to them."""
-        torque, (_, speed, acceleration) = response.torque, references
-        power, weights = torque * speed, duration * self.weights
-        both, rest = power.sum(axis=2), np.zeros(2)
-
-        def shafts() -> RealArray:
-            return self.drives.torque(speed, acceleration, torque)[0]
-
-        find: dict[str, Callable[[], RealArray]] = {
-            "torque": lambda: torque,
-            "power": lambda: power,
-            "square_torque": lambda: (
-                np.einsum("n,pnj->pj", weights, torque**2) + self._pause * np.square(self._holding)
-            ),
-            "energy": lambda: np.einsum("n,pnj->p", weights, np.maximum(power, 0.0)),
-            "supply_power": lambda: np.maximum(both, 0.0),
-            "regenerated_power": lambda: np.maximum(-both, 0.0),
-            "regenerated_energy": lambda: np.maximum(-both, 0.0) @ weights,
-            "motor_torque": lambda: shafts() / self.drives.largest(speed)[0],
-            "square_motor_torque": lambda: (
-                np.einsum("n,pnj->pj", weights, (shafts() / self.drives.continuous) ** 2)
-                + self._pause
-                * (self.drives.torque(rest, rest, np.asarray(self._holding))[0] / self.drives.continuous) ** 2
-            ),
-        }
-        return {
-            name: response.loads[..., self._link_loads[name]] if name in self._link_loads else find[name]()
-            for name in names
-        }
-
-    def speed_derivatives(self, motion: DesignedMotion) -> RealArray:
-        """Derivatives of the joint speeds (N, 2, m)."""
-        return motion.derivatives(self._fractions)[:, 2:4]
-
-    def shafts(self, motion: DesignedMotion, response: Response) -> tuple[RealArray, RealArray]:
-        """Torques of the shafts (P, N, 2) [N m], and their derivatives by the variables."""
-        _, speed, acceleration = motion.evaluate(self._fractions)
-        torque, by_acceleration, by_torque = self.drives.torque(speed, acceleration, response.torque)
-        acceleration_by = motion.derivatives(self._fractions)[:, 4:6]
-        return torque, by_acceleration[..., np.newaxis] * acceleration_by + by_torque[
-            ..., np.newaxis
-        ] * response.torque_by
-
-    def _shares(self, motion: DesignedMotion, response: Response) -> RealArray:
-        """Derivatives of the torques of the shafts relative to the largest at their speeds."""
-        torque, torque_by = self.shafts(motion, response)
-        largest, slope = self.drives.largest(motion.evaluate(self._fractions, 1)[1])
-        by_speed = -torque * slope / largest**2
-        return torque_by / largest[..., np.newaxis] + by_speed[..., np.newaxis] * self.speed_derivatives(motion)
-
-    def derivatives(self, names: Iterable[str], motion: DesignedMotion, response: Response) -> dict[str, RealArray]:
-        """Their derivatives by the m variables, in one more dimension."""
-        torque, by, duration = response.torque, response.torque_by, motion.duration
-        speed, speed_by = motion.evaluate(self._fractions, 1)[1], self.speed_derivatives(motion)
-        power = torque * speed
-        both, weights = power.sum(axis=2), duration * self.weights
-
-        @cache
-        def power_by() -> RealArray:
-            return np.asarray(by * speed[..., np.newaxis] + torque[..., np.newaxis] * speed_by)
-
-        @cache
-        def both_by() -> RealArray:
-            return np.asarray(power_by().sum(axis=2))
-
-        def squares(each: RealArray, each_by: RealArray) -> RealArray:
-            # the last variable is the duration
-            whole = 2.0 * np.einsum("n,pnj,pnjm->pjm", weights, each, each_by)
-            whole[..., -1] += np.einsum("n,pnj->pj", self.weights, each**2)
-            return np.asarray(whole)
-
-        def integral(flow: RealArray, flow_by: RealArray) -> RealArray:
-            """Of the positive part of flows (P, N, ...)."""
-            axes = "pnj"[: flow.ndim]
-            whole = np.einsum(f"n,{axes},{axes}m->pm", weights, (flow > 0.0) * 1.0, flow_by)
-            whole[:, -1] += np.einsum(f"n,{axes}->p", self.weights, np.maximum(flow, 0.0))
-            return np.asarray(whole)
-
-        find: dict[str, Callable[[], RealArray]] = {
-            "torque": lambda: by,
-            "power": power_by,
-            "square_torque": lambda: squares(torque, by),
-            "energy": lambda: integral(power, power_by()),
-            "supply_power": lambda: (both > 0.0)[..., np.newaxis] * both_by(),
-            "regenerated_power": lambda: (both < 0.0)[..., np.newaxis] * -both_by(),
-            "regenerated_energy": lambda: integral(-both, -both_by()),
-            "motor_torque": lambda: self._shares(motion, response),
-            "square_motor_torque": lambda: (
-                squares(*self.shafts(motion, response)) / self.drives.continuous[:, np.newaxis] ** 2
-            ),
-        }
-        return {
-            name: response.loads_by[:, :, self._link_loads[name]] if name in self._link_loads else find[name]()
-            for name in names
-        }
+        return replace(self, loads={name: limit[chosen] for name, limit in self.loads.items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,112 +138,10 @@ class Inequalities:
     jacobian: RealArray
 
 
-class LimitRows:
-    """The limits at each instant, row by row: references, loads of the motors, clearance.
-
-    Args:
-        limits: the limits.
-        fractions: instants (N,) as fractions of the duration.
-        motors: the figures of the motors' loads.
-    """
-
-    def __init__(self, limits: MotionLimits, fractions: RealArray, motors: MotorLoads) -> None:
-        self.limits, self._fractions, self._motors = limits, fractions, motors
-        self._largest = np.array(
-            [np.broadcast_to(each, 2) for each in (limits.speed, limits.acceleration, limits.jerk)]
-        )
-        # of each load at all instants; link loads have one limit each for all their places
-        units = {"torque": limits.torque, **limits.loads}
-        self._units = {
-            name: each[:, np.newaxis, np.newaxis] if name in LINK_LOADS else each[:, np.newaxis]
-            for name, each in units.items()
-        }
-
-    def values(self, motion: DesignedMotion, response: Response) -> tuple[RealArray, NDArray[np.intp]]:
-        """g (R,) and the groups (R,)."""
-        parts = self._parts(motion, response)
-        groups = [np.full(each.size, GROUPS.index(name)) for name, each in parts]
-        return np.concatenate([each.ravel() for _, each in parts]), np.concatenate(groups)
-
-    def loads(self, motion: DesignedMotion, response: Response) -> dict[str, RealArray]:
-        """Each load relative to its limit, with its sign, by name."""
-        found = self._motors.values(self._units, motion, response)
-        return {name: each / self._units[name] for name, each in found.items()}
-
-    def rows(self, motion: DesignedMotion, response: Response) -> Inequalities:
-        """The inequalities with derivatives."""
-        deciding = [_deciding(name, each) for name, each in self._parts(motion, response)]
-        conditions_by, found = motion.conditions()[1], list[RealArray]()
-        m = conditions_by.shape[1]
-        rates = motion.rates(self._fractions), motion.rates_by(self._fractions), self._largest
-        for each, rates_by, largest in zip(*rates, strict=True):
-            found.append((np.sign(each)[..., np.newaxis] * rates_by / largest[:, np.newaxis]).reshape(-1, m))
-        found.append(conditions_by)
-        by = self._motors.derivatives(self._units, motion, response)
-        for (name, each), some in zip(self.loads(motion, response).items(), deciding[4:], strict=False):
-            found.append((np.sign(each) / self._units[name])[some][:, np.newaxis] * by[name][some])
-        some, gradient = deciding[-1], self.limits.distances(response.position)[1]
-        _, variant, instant = np.nonzero(some)
-        found.append(-np.einsum("rj,rjm->rm", gradient[some], response.position_by[variant, instant]) / DEPTH)
-        which = np.concatenate([each.ravel() for each in deciding])
-        values, groups = self.values(motion, response)
-        return Inequalities(which, values[which], groups[which], np.concatenate(found))
-
-    def curvature(
-        self, motion: DesignedMotion, response: Response, prices: RealArray, of_cycle: Mapping[str, RealArray]
-    ) -> RealArray:
-        """The curvature (m, m) of the loads, its positive part.
-
-        Torques and speeds count as linear (Gauss-Newton): mean squares of torques, and products of torques and speeds are curved.
-
-        Args:
-            prices: of each row (R,).
-            of_cycle: price of each unit of ``square_torque`` and ``square_motor_torque`` (P, 2), and of ``energy`` and
-                ``regenerated_energy`` (P,).
-        """
-        by, speed_by = response.torque_by, self._motors.speed_derivatives(motion)
-        products = np.zeros(response.torque.shape)
-        first, share = 0, motion.duration * self._motors.weights[:, np.newaxis]
-        power = self._motors.values(["power"], motion, response)["power"]
-        for name, each in self._parts(motion, response):
-            price, first = prices[first : first + each.size].reshape(each.shape), first + each.size
-            if name in ("power", "supply_power", "regenerated_power"):
-                price = price / self._units[name]
-                if name == "power":
-                    products += np.sign(power) * price
-                else:
-                    products += ((1.0 if name == "supply_power" else -1.0) * price)[..., np.newaxis]
-        if "energy" in of_cycle:
-            products += of_cycle["energy"][:, np.newaxis, np.newaxis] * share * (power > 0.0)
-        if "regenerated_energy" in of_cycle:
-            flows_back = power.sum(axis=2, keepdims=True) < 0.0
-            products -= of_cycle["regenerated_energy"][:, np.newaxis, np.newaxis] * share * flows_back
-        squares = np.zeros_like(products)
-        if "square_torque" in of_cycle:
-            squares += 2.0 * of_cycle["square_torque"][:, np.newaxis] * share
-        found = np.einsum("pnj,pnja,pnjb->ab", squares, by, by, optimize=True)
-        if "square_motor_torque" in of_cycle:
-            own = 2.0 * of_cycle["square_motor_torque"][:, np.newaxis] * share / self._motors.drives.continuous**2
-            own_by = self._motors.shafts(motion, response)[1]
-            found += np.einsum("pnj,pnja,pnjb->ab", own, own_by, own_by, optimize=True)
-        p, n, j = np.nonzero(products)
-        cross = (products[p, n, j, np.newaxis] * by[p, n, j]).T @ speed_by[n, j]
-        values, vectors = np.linalg.eigh(found + cross + cross.T)
-        return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
-
-    def _parts(self, motion: DesignedMotion, response: Response) -> list[tuple[str, RealArray]]:
-        """The group of each part of the rows, and g."""
-        rates = GROUPS[1:4], motion.rates(self._fractions), self._largest
-        found = [(name, np.abs(each) / largest - 1.0) for name, each, largest in zip(*rates, strict=True)]
-        found.append(("speed", motion.conditions()[0]))
-        found += [(name, np.abs(each) - 1.0) for name, each in self.loads(motion, response).items()]
-        return [*found, ("clearance", -self.limits.distances(response.position)[0] / DEPTH)]
-
-
 def _deciding(name: str, values: RealArray) -> NDArray[np.bool_]:
     """Which of a part's rows can decide: at each instant those of the `WORST` variants."""
     axis = 1 if name == "clearance" else 0
-    if name in GROUPS[1:4] or values.shape[axis] <= WORST:
+    if name in RATES or values.shape[axis] <= WORST:
         return np.ones(values.shape, dtype=bool)
     least = np.partition(values, -WORST, axis=axis).take([-WORST], axis=axis)
     return np.asarray(values >= least)
@@ -602,55 +302,32 @@ PEAK = 8
 """Power whose mean stands for a peak."""
 
 ROUNDING = 0.05
-"""Power within which the corner at zero is rounded, relative to the largest torque x the largest speed of the start."""
+"""Power within which the corner at zero is rounded, relative to the largest one of the start."""
 
 
-class Effort:
-    """What the motors' effort costs: a mean over variants and instants, relative to that of a first motion.
+def _rounded(y: RealArray) -> tuple[RealArray, RealArray, RealArray]:
+    """The positive part, with a rounded corner."""
+    root = np.sqrt(y**2 + ROUNDING**2)
+    return 0.5 * (y + root), 0.5 * (1.0 + y / root), 0.5 * ROUNDING**2 / root**3
 
-    Torques count by their squares or, for the peak, by a high power; of the energy counts what the motors give, without what they
-    take back.
 
-    Args:
-        aim: what is minimised.
-        start: the first motion.
-        response: of the variants to it.
-        fractions: instants of responses (N,), the stages of equal steps.
-    """
+EFFORTS: Mapping[Aim, tuple[str, Convex]] = {
+    "torque": ("torque", power(PEAK)), "rms_torque": ("torque", power(2)), "energy": ("power", _rounded), "residual": ("torque", power(2)),
+}  # fmt: skip
+"""What is minimised → the load and its function whose integral it is, a mean over variants and joints."""
 
-    def __init__(self, aim: Aim, start: DesignedMotion, response: Response, fractions: RealArray) -> None:
-        self._aim, self._motors = aim, MotorLoads(fractions)
-        self._name = "power" if aim == "energy" else "torque"
-        self._weights = self._motors.weights[:, np.newaxis] / len(response.torque)
-        self._largest = np.abs(response.torque).max()
-        if aim == "energy":
-            self._largest *= np.abs(start.evaluate(fractions, 1)[1]).max()
-        self._unit = 1.0
-        self._unit = self.value(start, response)
 
-    def value(self, motion: DesignedMotion, response: Response) -> float:
-        """The cost of a motion."""
-        return float((self._weights * self._costs(self._figures(motion, response))[0]).sum()) / self._unit
+def _effort(aim: Aim, first: Loads) -> tuple[str, Convex]:
+    """The load and its function whose integral, over all variants and joints, is 1 at the first motion."""
+    load, convex = EFFORTS[aim]
+    largest, unit = np.abs(first.values(load)).max(), 1.0
 
-    def derivatives(self, motion: DesignedMotion, response: Response) -> tuple[RealArray, RealArray]:
-        """Gradient (m,) of the cost, and the positive part of its curvature (m, m)."""
-        figures = self._figures(motion, response)
-        by = self._motors.derivatives([self._name], motion, response)[self._name] / self._largest
-        _, slopes, curvatures = (self._weights * each / self._unit for each in self._costs(figures))
-        flat = by.reshape(-1, by.shape[-1])
-        return np.asarray(slopes.ravel() @ flat), np.asarray((flat.T * curvatures.ravel()) @ flat)
+    def cost(y: RealArray) -> tuple[RealArray, RealArray, RealArray]:
+        value, slope, curvature = convex(y / largest)
+        return value / unit, slope / largest / unit, curvature / largest**2 / unit
 
-    def _figures(self, motion: DesignedMotion, response: Response) -> RealArray:
-        """Torques, or for the energy powers, (P, N, 2), relative to the largest of the first motion."""
-        return np.asarray(self._motors.values([self._name], motion, response)[self._name] / self._largest)
-
-    def _costs(self, y: RealArray) -> tuple[RealArray, RealArray, RealArray]:
-        """A convex function of figures, with its first and second derivatives."""
-        if self._aim == "energy":
-            root = np.sqrt(y**2 + ROUNDING**2)
-            return 0.5 * (y + root), 0.5 * (1.0 + y / root), 0.5 * ROUNDING**2 / root**3
-        power = PEAK if self._aim == "torque" else 2
-        return y**power, power * y ** (power - 1), power * (power - 1) * y ** (power - 2)
+    unit = float(first.integral(load, cost).sum())
+    return load, cost
 
 
 Motions = tuple[DesignedMotion, ...]
@@ -687,15 +364,46 @@ class Way:
 
 
 @dataclass(frozen=True, eq=False)
+class WayState:
+    """The motion of one way.
+
+    Attributes:
+        motion: the joint references.
+        loads: its loads, with the response to it.
+        parts: each part of the limits at instants: the name of its group, and g.
+        gradient: of the distances (K, P, N, 2).
+    """
+
+    motion: DesignedMotion
+    loads: Loads
+    parts: Sequence[tuple[str, RealArray]]
+    gradient: RealArray
+
+    @cached_property
+    def values(self) -> RealArray:
+        """g of all parts (R,)."""
+        return np.concatenate([each.ravel() for _, each in self.parts])
+
+    @cached_property
+    def groups(self) -> NDArray[np.intp]:
+        """Indices of their groups (R,)."""
+        return np.repeat([GROUPS.index(name) for name, _ in self.parts], [each.size for _, each in self.parts])
+
+
+@dataclass(frozen=True, eq=False)
 class State:
     """Motions, and what they cost in units of the start's; loads of the cycle relative to their limits."""
 
-    motions: Motions
-    responses: tuple[Response, ...]
+    ways: tuple[WayState, ...]
     loads: Mapping[str, RealArray]
     amplitudes: tuple[RealArray, ...]
     violations: RealArray
     cost: float
+
+    @property
+    def motions(self) -> Motions:
+        """The motions of all ways."""
+        return tuple(way.motion for way in self.ways)
 
 
 @dataclass(frozen=True, eq=False)
@@ -735,28 +443,68 @@ class _WayProgramme:
     def __init__(self, way: Way, parts: int, first: int, unit: float, aim: Aim) -> None:
         start, self.limits, self.cases = way.start, way.limits, way.cases
         before, after = start.evaluate([0.0, 1.0], 0)[0]
-        link_loads = tuple(name for name in LINK_LOADS if name in way.limits.loads)
-        self.elastic = FleetResponse(way.robots, before, parts * start.intervals, link_loads)
-        self.effort = None
-        if aim != "time":
-            response = self.elastic.of_motion(start, derivatives=False)
-            self.effort = Effort(aim, start, response, self.elastic.fractions)
+        self._links = tuple(name for name in LINK_LOADS if name in way.limits.loads)
+        self.elastic = FleetResponse(way.robots, before, parts * start.intervals, self._links)
         models = [part.model for part in self.elastic.parts]
         self.vibration = ResidualVibration(models, after, way.limits.settled_within)
-        self.motors = MotorLoads(
-            self.elastic.fractions, self.vibration.holding, way.limits.pause, way.limits.drives, link_loads
-        )
-        self.rows = LimitRows(way.limits, self.elastic.fractions, self.motors)
+        self._largest = [np.broadcast_to(getattr(way.limits, name), 2) for name in RATES]
+        # of each load at all instants; link loads have one limit each for all their places
+        self._units = {name: each.reshape(len(each), 1, -1) for name, each in way.limits.loads.items()}
         self.scale, self.metric = start.scale(unit), start.metric(unit)
         self.columns = slice(first, first + len(self.scale))
+        self.effort = None if aim == "time" else _effort(aim, self.state(start, derivatives=False).loads)
 
+    def state(self, motion: DesignedMotion, *, derivatives: bool) -> WayState:
+        """Evaluate a motion."""
+        response, limits = self.elastic.of_motion(motion, derivatives=derivatives), self.limits
+        loads = Loads(response, self.vibration.holding, limits.pause, limits.drives, self._links)
+        rates = zip(RATES, motion.rates(self.elastic.fractions), self._largest, strict=True)
+        distance, gradient = limits.distances(response.position)
+        parts = [
+            *((name, np.abs(each) / largest - 1.0) for name, each, largest in rates),
+            ("speed", motion.conditions()[0]),
+            *((name, np.abs(loads.values(name)) / unit - 1.0) for name, unit in self._units.items()),
+            ("clearance", -distance / DEPTH),
+        ]
+        return WayState(motion, loads, parts, gradient)
 
-def weight_of_squares(name: str, period: float, drives: Drives | None) -> tuple[RealArray, RealArray]:
-    """What an integral of squares counts for one of `ROOTS` in a cycle, of both joints (2,) [1/s], and its derivative by the period [s]."""
-    if name == "rms_torque" or drives is None:
-        return np.full(2, 1.0 / period), np.full(2, -1.0 / period**2)
-    weight, slope = zip(*(each.heating(period) for each in drives.motors), strict=True)
-    return np.array(weight), np.array(slope)
+    def rows(self, state: WayState) -> Inequalities:
+        """The limits at each instant with derivatives."""
+        motion, loads, deciding = state.motion, state.loads, [_deciding(*part) for part in state.parts]
+        conditions_by, found = motion.conditions()[1], list[RealArray]()
+        fractions, m = self.elastic.fractions, conditions_by.shape[1]
+        for each, by, largest in zip(motion.rates(fractions), motion.rates_by(fractions), self._largest, strict=True):
+            found.append((np.sign(each)[..., np.newaxis] * by / largest[:, np.newaxis]).reshape(-1, m))
+        found.append(conditions_by)
+        for (name, unit), some in zip(self._units.items(), deciding[4:], strict=False):
+            found.append((np.sign(loads.values(name)) / unit)[some][:, np.newaxis] * loads.rows(name, some))
+        some = deciding[-1]
+        _, variant, instant = np.nonzero(some)
+        position_by = loads.response.position_by[variant, instant]
+        found.append(-np.einsum("rj,rjm->rm", state.gradient[some], position_by) / DEPTH)
+        which = np.concatenate([each.ravel() for each in deciding])
+        return Inequalities(which, state.values[which], state.groups[which], np.concatenate(found))
+
+    def curvature(self, state: WayState, prices: RealArray, of_cycle: Mapping[str, RealArray]) -> RealArray:
+        """The positive part of the curvature (m, m) of the cost, and of the loads at their prices.
+
+        Args:
+            state: the motion.
+            prices: of each row (R,); empty for none.
+            of_cycle: of each unit that the robots add to loads of the cycle, (P, r).
+        """
+        loads, found = state.loads, np.zeros_like(self.metric)
+        if self.effort is not None:
+            found += loads.integral_curvature(*self.effort, np.ones((len(loads.response.torque), 1)))
+        parts = zip(state.parts, np.split(prices, np.cumsum([each.size for _, each in state.parts])), strict=False)
+        for (name, each), price in parts if prices.size else ():
+            if name in self._units:
+                signed = np.sign(loads.values(name)) * price.reshape(each.shape) / self._units[name]
+                found += loads.curvature(name, signed)
+        for name, price in of_cycle.items():
+            found += loads.integral_curvature(*OF_CYCLE[name], price)
+        values, vectors = np.linalg.eigh(found)
+        return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 class Stage:
@@ -777,10 +525,12 @@ class Stage:
         for way, unit in zip(ways, units, strict=True):
             first = self.ways[-1].columns.stop if self.ways else 0
             self.ways.append(_WayProgramme(way, parts, first, unit, aim))
-        self._limits, self._timed, self.unit = loads, aim == "time", sum(units)
+        self._limits = {name: each.reshape(len(each), -1) for name, each in loads.items()}
+        self._timed, self.unit = aim == "time", sum(units)
         self.residual = ways[0].limits.residual
         self.price, self.penalty = PRICES[0], PENALTY[0]
-        self._prices: tuple[list[RealArray], RealArray] | None = None
+        # of all rows of each way, and of loads of the cycle: none at first
+        self._prices = [np.zeros(0)] * len(ways), np.zeros(sum(each.size for each in loads.values()))
         self._scale = np.concatenate([way.scale for way in self.ways])
         self._metric = self._diagonal([way.metric for way in self.ways])
         self.left = None
@@ -791,47 +541,41 @@ class Stage:
     def state(self, motions: Motions, *, derivatives: bool = True, renewed: bool = False) -> State:
         """Evaluate motions; with derivatives, or if it is wanted, with new transfers of vibration from way to way."""
         pairs = list(zip(self.ways, motions, strict=True))
-        responses = tuple(way.elastic.of_motion(motion, derivatives=derivatives) for way, motion in pairs)
+        ways = tuple(way.state(motion, derivatives=derivatives) for way, motion in pairs)
         if self.left is not None and (derivatives or renewed):
             self.left.renew([way.elastic.transfer(motion.duration) for way, motion in pairs])
-        loads, amplitudes = self._loads(motions, responses), self.amplitudes(responses)
+        loads, amplitudes = self._loads(ways), self.amplitudes(ways)
         violations = np.zeros(len(GROUPS))
-        for way, motion, response in zip(self.ways, motions, responses, strict=True):
-            values, groups = way.rows.values(motion, response)
-            np.maximum.at(violations, groups, values)
-        for name, each in loads.items():
-            violations[GROUPS.index(name)] = max(0.0, float(each.max()) - 1.0)
+        for each in ways:
+            np.maximum.at(violations, each.groups, each.values)
+        for name, share in loads.items():
+            violations[GROUPS.index(name)] = max(0.0, float(share.max()) - 1.0)
         violations[RESIDUAL] = self._residual_violation(amplitudes)
-        if self._timed:
-            cost = sum(motion.duration for motion in motions) / self.unit
-        else:
-            efforts = [
-                way.effort.value(motion, response)
-                for way, motion, response in zip(self.ways, motions, responses, strict=True)
-                if way.effort is not None
-            ]
-            cost = float(np.mean(efforts))
-        return State(motions, responses, loads, amplitudes, violations, cost)
+        cost = sum(motion.duration for motion in motions) / self.unit
+        if not self._timed:
+            efforts = zip(ways, (way.effort for way in self.ways), strict=True)
+            cost = float(np.mean([each.loads.integral(*effort).sum() for each, effort in efforts if effort]))
+        return State(ways, loads, amplitudes, violations, cost)
 
-    def amplitudes(self, responses: Sequence[Response]) -> tuple[RealArray, ...]:
+    def amplitudes(self, states: Sequence[WayState]) -> tuple[RealArray, ...]:
         """Modal places and rates (C, 2, k) [m] at the end of each way."""
-        pairs = zip(self.ways, self._ends(responses), strict=True)
+        pairs = zip(self.ways, self._ends(states), strict=True)
         return tuple(_applied(way.vibration.matrices[way.cases], each) for way, each in pairs)
 
-    def _ends(self, responses: Sequence[Response]) -> list[RealArray]:
+    def _ends(self, states: Sequence[WayState]) -> list[RealArray]:
         """States at the end of each way relative to rest (C, 2, n)."""
-        states = [way.vibration.away(each.end) for way, each in zip(self.ways, responses, strict=True)]
-        return [states[0][self.ways[0].cases]] if self.left is None else self.left.periodic(states)
+        ends = [way.vibration.away(each.loads.response.end) for way, each in zip(self.ways, states, strict=True)]
+        return [ends[0][self.ways[0].cases]] if self.left is None else self.left.periodic(ends)
 
     def scaled(self, state: State) -> State:
         """The state after the bounds of the vibration, sums over the modes, were scaled to the largest displacements that they bound there."""
-        for way, each, bound in zip(self.ways, self._ends(state.responses), map(_sizes, state.amplitudes), strict=True):
+        for way, each, bound in zip(self.ways, self._ends(state.ways), map(_sizes, state.amplitudes), strict=True):
             factors = np.ones(len(way.vibration.matrices))
             shares = way.vibration.peaks(each, way.cases) / np.maximum(bound, NO_VIBRATION)
             factors[way.cases] = 0.0
             np.maximum.at(factors, way.cases, np.clip(shares, *SCALED))
             way.vibration.matrices *= factors[:, np.newaxis, np.newaxis, np.newaxis]
-        amplitudes, violations = self.amplitudes(state.responses), state.violations.copy()
+        amplitudes, violations = self.amplitudes(state.ways), state.violations.copy()
         violations[RESIDUAL] = self._residual_violation(amplitudes)
         return replace(state, amplitudes=amplitudes, violations=violations)
 
@@ -839,24 +583,19 @@ class Stage:
         residual = max(float(_sizes(each).max(initial=0.0)) for each in amplitudes)
         return max(0.0, residual / self.residual - 1.0) * RESIDUAL_SCALE
 
-    def _loads(self, motions: Motions, responses: Sequence[Response]) -> dict[str, RealArray]:
-        """Each load of the cycle, for all cases relative to its limit."""
+    def _loads(self, states: Sequence[WayState]) -> dict[str, RealArray]:
+        """Each load of the cycle, for all cases relative to its limit, of both joints (C, 2) or (C, 1)."""
         found = dict[str, RealArray]()
         for name, limit in self._limits.items():
-            whole = sum(
-                way.motors.values([OF_CYCLE[name]], motion, response)[OF_CYCLE[name]][way.cases]
-                for way, motion, response in zip(self.ways, motions, responses, strict=True)
-            )
-            whole = np.asarray(whole)
-            found[name] = (np.sqrt(whole * self._weight(name, motions)[0]) if name in ROOTS else whole) / limit
+            parts = [each.loads.of_cycle(name)[way.cases] for way, each in zip(self.ways, states, strict=True)]
+            whole = np.sum(parts, axis=0)
+            found[name] = (np.sqrt(whole * self._weight(name, states)[0]) if name in ROOTS else whole) / limit
         return found
 
-    def _weight(self, name: str, motions: Motions) -> tuple[RealArray, RealArray]:
-        return weight_of_squares(name, self._time(motions), self.ways[0].limits.drives)
-
-    def _time(self, motions: Motions) -> float:
-        """Duration of the cycle [s]."""
-        return sum(motion.duration + way.limits.pause for way, motion in zip(self.ways, motions, strict=True))
+    def _weight(self, name: str, states: Sequence[WayState]) -> tuple[RealArray, RealArray]:
+        """`weight_of_squares` in the duration of the cycle."""
+        time = sum(each.motion.duration + way.limits.pause for way, each in zip(self.ways, states, strict=True))
+        return weight_of_squares(name, time, self.ways[0].limits.drives)
 
     def merit(self, state: State) -> float:
         """The cost, and the price of what isn't met."""
@@ -864,17 +603,16 @@ class Stage:
 
     def linear(self, state: State) -> Linear:
         """Linearise the limits at motions."""
-        triples, m = list(zip(self.ways, state.motions, state.responses, strict=True)), len(self._scale)
+        pairs, m = list(zip(self.ways, state.ways, strict=True)), len(self._scale)
         # loads of the cycle
         loads_by = list[RealArray]()
         for name, share in state.loads.items():
             by = np.zeros((*share.shape, m))
-            for way, motion, response in triples:
-                of_way = way.motors.derivatives([OF_CYCLE[name]], motion, response)[OF_CYCLE[name]]
-                by[..., way.columns] += of_way[way.cases]
+            for way, each in pairs:
+                by[..., way.columns] += each.loads.of_cycle_by(name)[way.cases]
             if name in ROOTS:
                 # a root of a mean square, over a time that has all durations
-                root, (weight, slope) = share * self._limits[name], self._weight(name, state.motions)
+                root, (weight, slope) = share * self._limits[name], self._weight(name, state.ways)
                 by *= weight[:, np.newaxis]
                 for way in self.ways:
                     by[..., way.columns.stop - 1] += root**2 * slope / weight
@@ -885,34 +623,28 @@ class Stage:
         # vibration
         if self.left is None:
             way = self.ways[0]
-            amplitudes_by: tuple[RealArray, ...] = ((way.vibration.matrices @ state.responses[0].end_by)[way.cases],)
+            end_by = state.ways[0].loads.response.end_by
+            amplitudes_by: tuple[RealArray, ...] = ((way.vibration.matrices @ end_by)[way.cases],)
         else:
-            states = []
-            for way, _, response in triples:
-                by = np.zeros((*response.end_by.shape[:-1], m))
-                by[..., way.columns] = response.end_by
-                states.append(by)
-            pairs = zip(self.ways, self.left.periodic(states), strict=True)
-            amplitudes_by = tuple(way.vibration.matrices[way.cases] @ each for way, each in pairs)
+            ends_by = []
+            for way, each in pairs:
+                own = each.loads.response.end_by
+                ends_by.append(np.zeros((*own.shape[:-1], m)))
+                ends_by[-1][..., way.columns] = own
+            of_ways = zip(self.ways, self.left.periodic(ends_by), strict=True)
+            amplitudes_by = tuple(way.vibration.matrices[way.cases] @ each for way, each in of_ways)
         # the cost
         slope, curvatures = np.zeros(m), list[RealArray]()
-        for k, (way, motion, response) in enumerate(triples):
-            curvature = np.zeros_like(way.metric)
+        of_rows, of_loads = self._prices
+        for (way, each), prices in zip(pairs, of_rows, strict=True):
             if way.effort is None:
                 slope[way.columns.stop - 1] = 1.0 / self.unit
             else:
-                slope[way.columns], curvature = (
-                    each / len(triples) for each in way.effort.derivatives(motion, response)
-                )
-            if self._prices is not None:
-                of_rows, of_loads = self._prices
-                curvature = curvature + way.rows.curvature(
-                    motion, response, of_rows[k], self._of_way(way, state, of_loads)
-                )
-            curvatures.append(curvature)
+                slope[way.columns] = each.loads.integral_by(*way.effort).sum(axis=(0, 1)) / len(pairs)
+            curvatures.append(way.curvature(each, prices, self._of_way(way, state, of_loads)))
         empty, (down, up) = np.zeros((0, m)), zip(*(motion.room for motion in state.motions), strict=True)
         return Linear(
-            tuple(way.rows.rows(motion, response) for way, motion, response in triples),
+            tuple(way.rows(each) for way, each in pairs),
             np.concatenate([np.zeros(0), *loads]),
             np.concatenate([np.zeros(0, dtype=np.intp), *groups]),
             np.concatenate([empty, *loads_by]),
@@ -924,32 +656,27 @@ class Stage:
         )
 
     def _of_way(self, way: _WayProgramme, state: State, prices: RealArray) -> dict[str, RealArray]:
-        """The price of each unit that the robots of a way add to loads of the cycle."""
+        """The price of each unit that the robots of a way add to loads of the cycle, (P, r)."""
         found, first = dict[str, RealArray](), 0
         for name, share in state.loads.items():
-            price, first = (
-                prices[first : first + share.size].reshape(share.shape) / self._limits[name],
-                first + share.size,
-            )
+            limit = self._limits[name]
+            price, first = prices[first : first + share.size].reshape(share.shape) / limit, first + share.size
             if name in ROOTS:
-                price = (
-                    price * self._weight(name, state.motions)[0] / (2.0 * np.maximum(share * self._limits[name], TINY))
-                )
-            found[OF_CYCLE[name]] = np.zeros((way.cases.max() + 1, *share.shape[1:]))
-            np.add.at(found[OF_CYCLE[name]], way.cases, price)
+                price = price * self._weight(name, state.ways)[0] / (2.0 * np.maximum(share * limit, TINY))
+            found[name] = np.zeros((len(way.vibration.holding), share.shape[1]))
+            np.add.at(found[name], way.cases, price)
         return found
 
     def corrected(self, linear: Linear, step: RealArray, state: State) -> Linear:
         """The linearised limits with their values after a step."""
-        rows = []
-        for way, motion, response, each in zip(self.ways, state.motions, state.responses, linear.rows, strict=True):
-            values, _ = way.rows.values(motion, response)
-            values = values[each.deciding] - each.jacobian @ step[way.columns]
-            rows.append(replace(each, values=values))
+        rows = tuple(
+            replace(each, values=now.values[each.deciding] - each.jacobian @ step[way.columns])
+            for way, now, each in zip(self.ways, state.ways, linear.rows, strict=True)
+        )
         loads = np.concatenate([np.zeros(0), *(each.ravel() - 1.0 for each in state.loads.values())])
         return replace(
             linear,
-            rows=tuple(rows),
+            rows=rows,
             loads=loads - linear.loads_by @ step,
             amplitudes=tuple(now - by @ step for now, by in zip(state.amplitudes, linear.amplitudes_by, strict=True)),
         )
@@ -1165,9 +892,9 @@ def optimal_motion(
     penalty = PENALTY[0]
     for few, residual in stages:
         stage = stage_of(few, residual, {}, parts)
-        for found in map(_improvement, stage.improvements(motions, iterations, penalty)):
-            motions = found.motions
-            yield found
+        for better in map(_improvement, stage.improvements(motions, iterations, penalty)):
+            motions = better.motions
+            yield better
         penalty = max(PENALTY[0], min(4.0 * stage.penalty, 10.0))
     # all variants on the fine grid
     fine, excess = stage_of(np.arange(count), limit, {}, FINER * parts), dict[str, float]()
@@ -1180,15 +907,13 @@ def optimal_motion(
         chosen = np.unique([*chosen, *np.flatnonzero(is_worst)])
         stage = stage_of(chosen, limit, excess, parts)
         coarse = stage.state(motions, derivatives=False, renewed=True)
-        for way, each, fine_way, there, here in zip(
-            ways, stage.ways, fine.ways, exact.responses, coarse.responses, strict=True
-        ):
+        for way, each, fine_way, there, here in zip(ways, stage.ways, fine.ways, exact.ways, coarse.ways, strict=True):
             robots = np.unique(way.cases[chosen])
-            each.vibration.error = there.end[robots] - here.end
+            each.vibration.error = there.loads.response.end[robots] - here.loads.response.end
             each.vibration.matrices = fine_way.vibration.matrices[robots]
-        for found in map(_improvement, stage.improvements(motions, iterations, penalty)):
-            motions = found.motions
-            yield found
+        for better in map(_improvement, stage.improvements(motions, iterations, penalty)):
+            motions = better.motions
+            yield better
         exact = fine.scaled(fine.state(motions, derivatives=False, renewed=True))
         met = bool((exact.violations <= CHECKED).all())
         yield replace(_improvement(exact), checked=met)
@@ -1202,9 +927,8 @@ def optimal_motion(
             excess["clearance"] = excess.get("clearance", 0.0) + DEPTH * float(exact.violations[CLEARANCE])
         # each load of every way, by case
         sizes = [(name, each) for name, each in exact.loads.items()]
-        for k, (way, of_way) in enumerate(zip(ways, fine.ways, strict=True)):
-            found = of_way.rows.loads(exact.motions[k], exact.responses[k])
-            sizes += [(name, np.abs(each)[way.cases]) for name, each in found.items()]
+        for way, there in zip(ways, exact.ways, strict=True):
+            sizes += [(name, each[way.cases] + 1.0) for name, each in there.parts if name in way.limits.loads]
         for name, size in sizes:
             if name in missed:
                 beyond[name] = max(beyond.get(name, 0.0), float(size.max()) / 0.9998)

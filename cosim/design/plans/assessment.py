@@ -35,6 +35,7 @@ from flexfmu.cosim.metrics.signals import TORQUES, segments
 from flexfmu.cosim.metrics.stress import link_stresses
 from flexfmu.model.reference_design import optimal_control
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.loads import OF_CYCLE, ROOTS, weight_of_squares
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
@@ -327,11 +328,11 @@ class Judge:
                     periodic, more = left[:, :, case].T[..., np.newaxis]
                     rows = np.maximum(rows, np.minimum(rows + more, periodic))
                 whole = rows.max(axis=0)
-                if name in optimal_control.ROOTS:
+                if name in ROOTS:
                     heating = [self._heating(name, time) for time in times]
                     whole = np.average(rows**2 / heating, axis=0, weights=times) * self._heating(name, sum(times))
                     whole = np.sqrt(whole)
-                elif name in optimal_control.OF_CYCLE:
+                elif name in OF_CYCLE:
                     whole = rows.sum(axis=0)
                 elif name == "time":
                     whole = np.array([sum(times)])
@@ -426,7 +427,7 @@ class Judge:
 
     def _heating(self, figure: str, period: float) -> RealArray:
         """What a mean square over a period [s] counts for the temperature of both motors (2,), see `Motor.heating`."""
-        return period * optimal_control.weight_of_squares(figure, period, self.goals.drives)[0]
+        return period * weight_of_squares(figure, period, self.goals.drives)[0]
 
     def _off_path(self, points: RealArray) -> RealArray:
         """Distances (N,) [m] of points from the given path."""

@@ -20,7 +20,7 @@ from flexfmu.cosim.experiment.cycles import Reversed
 from flexfmu.cosim.experiment.parameters import scene_with_parameters
 from flexfmu.cosim.experiment.planning import MotionPlan, plan, plan_own
 from flexfmu.model.reference_design.elastic_response import VariantModel
-from flexfmu.model.reference_design.optimal_control import Drives
+from flexfmu.model.reference_design.loads import Drives
 from flexfmu.model.scene.messages import unit_of
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.scene.plan import PlanLimits, PlanSection, Ratio, TargetSection

@@ -30,6 +30,7 @@ from flexfmu.model.reference_design import optimal_control
 from flexfmu.model.reference_design.elastic_response import LINK_LOADS, FleetResponse, RobotVariant, joined
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
 from flexfmu.model.reference_design.joint_spline import REST, DesignedMotion, JointSpline, fitted
+from flexfmu.model.reference_design.loads import OF_CYCLE, ROOTS, Loads, weight_of_squares
 from flexfmu.model.reference_design.robust_correction import Tolerances, corrected
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.motion import TableSection
@@ -437,25 +438,25 @@ def limited(
     usual, time = dict[str, RealArray](), sum(each.given.once.duration + each.standstill for each in each_goals)
     for name in names:
         of_ways = [each[name] for each in needs]
-        usual[name] = np.sum(of_ways, axis=0) if name in optimal_control.OF_CYCLE else np.max(of_ways, axis=0)
-        if name in optimal_control.ROOTS:
-            usual[name] = np.sqrt(usual[name] * optimal_control.weight_of_squares(name, time, drives)[0])
+        usual[name] = np.sum(of_ways, axis=0) if name in OF_CYCLE else np.max(of_ways, axis=0)
+        if name in ROOTS:
+            usual[name] = np.sqrt(usual[name] * weight_of_squares(name, time, drives)[0])
     limits = {name: share * goals.limit(name, each) for name, each in usual.items()}
     ways = []
     for of_way, (robots, cases) in zip(each_goals, motions, strict=True):
         loads = dict[str, RealArray]()
         for name, limit in limits.items():
-            if name not in optimal_control.OF_CYCLE:
+            if name not in OF_CYCLE:
                 # a robot of several cases keeps the least limit
                 loads[name] = np.full((len(robots), *limit.shape[1:]), np.inf)
                 np.minimum.at(loads[name], cases, limit)
         distances = of_way.clearance.of_ways if walls else of_way.clearance.distances
         own = optimal_control.MotionLimits(
-            loads.pop("torque"), speed, acceleration, jerk, quiet * goals.wishes.residual, distances, loads,
-            of_way.standstill, goals.wishes.settled_within, drives,
+            loads, speed, acceleration, jerk, quiet * goals.wishes.residual, distances, of_way.standstill,
+            goals.wishes.settled_within, drives,
         ).tightened({"clearance": -clear * goals.wishes.margin})  # fmt: skip
         ways.append(optimal_control.Way(robots, own, _spline(of_way.given.once.joints), cases))
-    return ways, {name: limit for name, limit in limits.items() if name in optimal_control.OF_CYCLE}
+    return ways, {name: limit for name, limit in limits.items() if name in OF_CYCLE}
 
 
 def _given_loads(goals: Goals, robots: Sequence[RobotVariant], names: Sequence[str]) -> dict[str, RealArray]:
@@ -464,14 +465,10 @@ def _given_loads(goals: Goals, robots: Sequence[RobotVariant], names: Sequence[s
     first, last = joints.evaluate([0.0, joints.duration], 0, "right")[0]
     link_loads = tuple(name for name in LINK_LOADS if name in names)
     elastic = FleetResponse(robots, first, GIVEN_STEPS, link_loads)
-    references, duration = joints.evaluate(elastic.fractions * joints.duration, 2, "left"), joints.duration
-    found = elastic.of_references(references, duration)
+    references = np.hstack(list(joints.evaluate(elastic.fractions * joints.duration, 2, "left")))
     holding = joined([part.model.rest(last).torque for part in elastic.parts])
-    motors = optimal_control.MotorLoads(elastic.fractions, holding, goals.standstill, goals.drives, link_loads)
-    units = {name: optimal_control.OF_CYCLE.get(name, name) for name in names}
-    values = motors.of_references(units.values(), references, duration, found)
-    axes = {name: () if name in optimal_control.OF_CYCLE else (1, 2) if name in link_loads else 1 for name in names}
-    return {name: np.abs(values[unit]).max(axis=axes[name]) for name, unit in units.items()}
+    loads = Loads(elastic.respond(references, joints.duration), holding, goals.standstill, goals.drives, link_loads)
+    return {name: loads.need(name) for name in names}
 
 
 def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:

@@ -245,7 +245,7 @@ def _improved(study: MotionStudy, task: tuple[FamilyMotion, int, int, int, bool]
             stage.price *= DEARER ** min(len(found), number)
             *_, state = stage.improvements((motion,), programmes)
             (motion,), missed = state.motions, state.violations  # type: ignore[assignment]
-            cost = log(max(_minimised(study.aim, stage, state), 1e-12)) + WORTH * float(missed.sum())
+            cost = log(max(_minimised(study.aim, state), 1e-12)) + WORTH * float(missed.sum())
             found.append((cost + (INFEASIBLE if missed.max() > NEARLY else 0.0), motion))
             if missed.max() < NEARLY or not again:
                 break
@@ -260,11 +260,10 @@ def _improved(study: MotionStudy, task: tuple[FamilyMotion, int, int, int, bool]
     return motion.numbers.tolist(), motion.duration, cost
 
 
-def _minimised(aim: Aim, stage: Stage, state: State) -> float:
+def _minimised(aim: Aim, state: State) -> float:
     """What is minimised, in its own unit or its square, for a motion alone."""
     if aim == "time":
         return state.motions[0].duration
     if aim == "residual":
         return float(np.linalg.norm(state.amplitudes[0], axis=1).sum(axis=-1).max())
-    name = "square_torque" if aim == "rms_torque" else aim
-    return float(np.abs(stage.ways[0].motors.values([name], state.motions[0], state.responses[0])[name]).max())
+    return float(state.ways[0].loads.need(aim).max())

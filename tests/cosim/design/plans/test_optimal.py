@@ -113,7 +113,7 @@ def test_what_the_fmu_finds_beyond_a_limit_is_taken_off_it(
         response = ElasticResponse(goals.scene, variants, start.coefficients[0], 60, loads=(*forces,))
         for duration in np.arange(0.3, 1.2, 0.03):
             found = response.of_motion(motion := start.with_duration(float(duration)), derivatives=False)
-            is_met = (np.abs(found.torque).max(axis=1) < 1.2 * limits.torque[:3]).all()
+            is_met = (np.abs(found.torque).max(axis=1) < 1.2 * limits.loads["torque"][:3]).all()
             if is_met and all((found.loads.max(axis=(1, 2)) < 1.2 * each).all() for each in forces.values()):
                 yield Improvement((motion,), dict.fromkeys(GROUPS, 0.0), 0.0, checked=True)
                 return

@@ -103,7 +103,7 @@ def test_derivatives_of_limits_are_those_of_longer_differences(study: MotionStud
 
     def moved(sign: int) -> list[Any]:
         found = stage.state((motion.moved(sign * direction),), derivatives=False)
-        return [stage.ways[0].rows.values(found.motions[0], found.responses[0])[0], found.amplitudes[0]]
+        return [found.ways[0].values, found.amplitudes[0]]
 
     differences = [0.5 * (ahead - behind) for ahead, behind in zip(moved(1), moved(-1), strict=True)]
     # jerks jump where corners begin
