@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from math import inf, sqrt
 from typing import Literal
 
@@ -214,6 +215,12 @@ class Problem:
         return sum(row.channel.time.size for row in self.rows)
 
     @property
+    def parts(self) -> list[slice]:
+        """Places of each row's samples among all."""
+        ends = np.cumsum([row.channel.time.size for row in self.rows]).tolist()
+        return [slice(begin, end) for begin, end in pairwise([0, *ends])]
+
+    @property
     def is_certain(self) -> bool:
         """Whether errors of all values are known, so that residuals needn't tell them."""
         return all(row.channel.least > 0.0 for row in self.rows)
@@ -266,6 +273,10 @@ class Problem:
         pairs = zip(parts, self.rows, noises, strict=True)
         return np.concatenate([noise.whitened(part, row.channel.pieces) for part, row, noise in pairs])
 
+    def white(self, unknowns: RealArray, residuals: Sequence[RealArray], noises: Sequence[ColouredNoise]) -> RealArray:
+        """Whitened residuals of all rows, then of priors."""
+        return np.concatenate([self.whitened(residuals, noises), self.priors(unknowns)[0]])
+
     def derivatives(self, unknowns: RealArray) -> list[RealArray]:
         """Derivatives of what each row's sensor shows by all unknowns (M, n)."""
         (base, varied, widths), found = self._around(unknowns[: len(self.free)]), list[RealArray]()
@@ -315,8 +326,7 @@ class Problem:
         last: list[tuple[RealArray, RealArray]] = []
 
         def function(unknowns: RealArray) -> RealArray:
-            white = self.whitened(self.residuals(unknowns, self.at(unknowns)), noises)
-            return np.concatenate([white, self.priors(unknowns)[0]])
+            return self.white(unknowns, self.residuals(unknowns, self.at(unknowns)), noises)
 
         def jacobian(unknowns: RealArray) -> RealArray:
             found = np.concatenate([self.whitened(self.derivatives(unknowns), noises), self.priors(unknowns)[1]])
@@ -342,7 +352,7 @@ class Problem:
         recordings = self.at(unknowns)
         shown = tuple(self.simulated(row, recordings[row.experiment], unknowns)[0] for row in self.rows)
         residuals = tuple(row.channel.values - each for row, each in zip(self.rows, shown, strict=True))
-        white = np.concatenate([self.whitened(residuals, noises), self.priors(unknowns)[0]])
+        white = self.white(unknowns, residuals, noises)
         if self._loss != "linear":
             # the weights that the loss gives
             weights = (1.0 + white**2) ** -0.25
@@ -359,14 +369,10 @@ class Problem:
         inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
         own = max(float(white @ white) / freedom, self.least_variance) * inverse
         # whatever the residuals are correlated with: sums over all signals of an experiment at one instant
-        total, begin = np.zeros_like(inverse), 0
-        scores = dict[tuple[int, int], RealArray]()
-        for row in self.rows:
-            end = begin + row.channel.time.size
+        total, scores = np.zeros_like(inverse), dict[tuple[int, int], RealArray]()
+        for row, place in zip(self.rows, self.parts, strict=True):
             key = row.experiment, row.channel.time.size
-            part = scaled[begin:end] * white[begin:end, None]
-            scores[key] = scores[key] + part if key in scores else part
-            begin = end
+            scores[key] = scores.get(key, 0.0) + scaled[place] * white[place, None]
         for part in scores.values():
             lags = round(part.shape[0] ** 0.5)
             total += part.T @ part
@@ -374,7 +380,8 @@ class Problem:
                 product = (1.0 - lag / (lags + 1.0)) * (part[lag:].T @ part[:-lag])
                 total += product + product.T
         # what is known beforehand doesn't scatter
-        total += scaled[begin:].T @ scaled[begin:]
+        given = scaled[self.samples :]
+        total += given.T @ given
         robust = inverse @ total @ inverse * (self.samples / freedom)
         variances = np.maximum(np.diag(own), 1e-300)
         factors = np.sqrt(np.maximum(np.diag(robust) / variances, 1.0)) * self.sizes
@@ -386,13 +393,10 @@ class Problem:
         They contain what a wrong model does to the estimates, as far as that differs from part to part (B. Efron, *The Jackknife, the
         Bootstrap and Other Resampling Plans*, 1982, chapter 3).
         """
-        scaled, begin = found.jacobian * self.sizes, 0
-        block = np.zeros(found.white.size, dtype=int)
-        for row in self.rows:
-            size = row.channel.time.size
-            block[begin : begin + size] = np.arange(size) * BLOCKS // size
-            begin += size
-        block[begin:] = -1  # what is known beforehand is in all
+        scaled = found.jacobian * self.sizes
+        block = np.full(found.white.size, -1)  # what is known beforehand is in all
+        for row, place in zip(self.rows, self.parts, strict=True):
+            block[place] = np.arange(row.channel.time.size) * BLOCKS // row.channel.time.size
         whole, shifts = scaled.T @ scaled, list[RealArray]()
         for number in range(BLOCKS):
             part = scaled[block == number]
@@ -457,8 +461,7 @@ class Problem:
         """Degrees of freedom that the fit has taken from each row's residuals."""
         basis, sizes, _ = np.linalg.svd(found.jacobian * self.sizes, full_matrices=False)
         leverage = (basis[:, sizes > 1e-10 * sizes[0]] ** 2).sum(axis=1)
-        ends = np.cumsum([row.channel.time.size for row in self.rows])
-        return [float(each.sum()) for each in np.split(leverage, ends)[:-1]]
+        return [float(leverage[each].sum()) for each in self.parts]
 
     def _freedom(self, found: Solution) -> float:
         """Degrees of freedom of the estimates' variance, of which each row's noise has its share (F. Satterthwaite, Biometrics Bulletin 2, 1946)."""
@@ -485,7 +488,7 @@ class Problem:
         """Sum of squares at several values of the unknowns, and the whitened residuals."""
         found = []
         for point, recordings in zip(points, self.recordings(points), strict=True):
-            white = np.concatenate([self.whitened(self.residuals(point, recordings), noises), self.priors(point)[0]])
+            white = self.white(point, self.residuals(point, recordings), noises)
             found.append((float(white @ white), white))
         return found
 

@@ -415,9 +415,8 @@ def scene_experiment(
     if drive == "torque" and not scene.controller and all(each in recording for each in TORQUES):
         loop, start, stop_time, pose, source = replayed(scene, recording, name)
         driving = TORQUES
-    compared = [each for each in recording.columns if each not in (*driving, *REFERENCES)]
-    if drive == "motion":
-        compared = [each for each in compared if each not in ANGLES]
+    apart = (*driving, *REFERENCES, *(ANGLES if drive == "motion" else ()))
+    compared = [each for each in recording.columns if each not in apart]
     if not compared:
         raise InputError(
             f"{name} has nothing to compare: {', '.join(recording.columns)} "
@@ -441,16 +440,15 @@ def scene_experiment(
     return Experiment(name, channels, simulate, planned.stop_time, bool(driving), scene, motion, is_together=together)
 
 
+EXACT = {"counts_per_turn": FINE, "resolution": 1.0 / FINE, "standard_deviation": 0.0, "half_width": 0.0}
+"""Keys of sensors → values without rounding and noise."""
+
+
 def with_exact_sensors(scene: Scene) -> Scene:
     """The scene without rounding and noise of its sensors: those of the log are other ones, and rounding in a loop makes results rough."""
     changes: dict[str, Any] = {}
     for place, each in enumerate(scene.imperfection):
-        for key, value in (
-            ("counts_per_turn", FINE),
-            ("resolution", 1.0 / FINE),
-            ("standard_deviation", 0.0),
-            ("half_width", 0.0),
-        ):
+        for key, value in EXACT.items():
             if getattr(each, key, None) is not None:
                 changes[f"imperfection[{place}].{key}"] = value
     return scene.replace(changes) if changes else scene

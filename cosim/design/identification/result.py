@@ -350,7 +350,7 @@ class Identification(Rows):
                 [
                     each.name.removesuffix(only),
                     _with_error(each),
-                    _interval(each),
+                    "–" if each.kept else f"{each.interval[0]:.4g} to {each.interval[1]:.4g}",
                     f"{each.start:.4g}",
                     shown_unit(each.unit),
                     each.kept,
@@ -513,12 +513,6 @@ def _with_error(each: Estimated) -> str:
         return f"{each.value:.6g}"
     digits = max(1, int(np.floor(np.log10(max(abs(each.value), each.standard_error) / each.standard_error))) + 2)
     return f"{each.value:.{min(digits, 12)}g} ± {each.standard_error:.2g}"
-
-
-def _interval(each: Estimated) -> str:
-    if each.kept:
-        return "–"
-    return f"{each.interval[0]:.4g} to {each.interval[1]:.4g}"
 
 
 def joined(names: Sequence[str]) -> str:

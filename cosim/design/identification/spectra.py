@@ -11,12 +11,13 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from math import pi
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from scipy.linalg import expm
 from scipy.optimize import linear_sum_assignment
 
 from flexfmu.cosim.design.identification.measurements import CURRENTS, STRAIN, Channel, Experiment, names_in, parts_of
+from flexfmu.cosim.design.margins.linear_loop import open_loop
 from flexfmu.cosim.design.response.response import PARTS, PER_SECOND, FrequencyResponse, Modes
 from flexfmu.cosim.engine.errors import InputError, SignalFileError, suggestion
 from flexfmu.cosim.engine.measured import Mapped, table_of
@@ -262,13 +263,8 @@ def _response(
     picked = np.array([[parts.get(each, 0.0) for each in plant.outputs] for _, parts, _ in rows])
 
     def evaluated(plant: LinearPlant) -> dict[str, Column]:
-        a, b, v = plant.a, plant.b, s
-        if step is not None:
-            n, m = b.shape
-            held = expm(step * np.block([[a, b], [np.zeros((m, n + m))]]))
-            a, b, v = held[:n, :n], held[:n, n:], np.exp(s * step)
-        inner = np.linalg.solve(v[:, np.newaxis, np.newaxis] * np.eye(len(a)) - a, b @ taken)
-        values = picked @ plant.c @ inner + picked @ plant.d @ taken
+        loop = open_loop(plant.a, plant.b, plant.c, plant.d, step)
+        values: Any = picked @ loop.transfer(np.asarray(s if step is None else np.exp(s * step), complex), taken)
         return {pair: Column(unit, values[:, o, i]) for (pair, unit), (o, i) in zip(pairs, places, strict=True)}
 
     places = [*product(range(len(rows)), range(len(columns)))]

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
@@ -576,14 +577,11 @@ class _Study:
         """The measured signals beside the simulated ones, and what their residuals tell."""
         from scipy.special import fdtrc
 
-        problem, solution, found, begin = solved.problem, solved.solution, list[FittedSignal](), 0
+        problem, solution, found = solved.problem, solved.solution, list[FittedSignal]()
         share = len(solution.unknowns) / max(len(problem.rows), 1)
-        for row, noise, residual, after in zip(
-            problem.rows, solution.noises, solution.residuals, solution.simulated, strict=True
-        ):
-            channel, end = row.channel, begin + row.channel.time.size
-            white = solution.white[begin:end]
-            begin = end
+        parts = problem.rows, problem.parts, solution.noises, solution.residuals, solution.simulated
+        for row, place, noise, residual, after in zip(*parts, strict=True):
+            channel, white = row.channel, solution.white[place]
             before, _ = channel.simulated(self._first[row.experiment], self._delays[row.experiment])
             rate = np.zeros(after.size) if channel.part is not None else np.abs(np.gradient(after, channel.time))
             moves = rate > FAST * rate.max(initial=0.0)
@@ -628,15 +626,10 @@ class _Study:
         problem, solution, count = solved.problem, solved.solution, solved.problem.shared
         self._show("intervals", None)
         intervals, profiled = problem.intervals(solution)
-        errors = np.sqrt(np.diag(solution.covariance))
+        ends, x, own = np.array(intervals), solution.unknowns[:, None], np.sqrt(np.diag(solution.covariance))
         # noise of what drives the simulation isn't in the residuals alone
-        driven = np.sqrt(np.diag(solution.covariance + problem.driven(solution)))
-        more = (driven / np.maximum(errors, LEAST_ERROR)).tolist()
-        intervals = [
-            (x - factor * (x - low), x + factor * (high - x))
-            for (low, high), x, factor in zip(intervals, solution.unknowns.tolist(), more, strict=True)
-        ]
-        errors = driven
+        errors = np.sqrt(np.diag(solution.covariance + problem.driven(solution)))
+        ends = x + (errors / np.maximum(own, LEAST_ERROR))[:, None] * (ends - x)
         is_wrong = bool(explanations) or not all(each.is_explained for each in signals)
         messages = [*self._messages(solved, signals, explanations or ())]
         if explanations is None and not is_wrong:
@@ -647,20 +640,19 @@ class _Study:
             # what a wrong model does to the estimates differs from part to part of the logs
             apart = problem.jackknife(solution)
             errors = np.maximum(errors, apart)
-            widths = float(stdtrit(BLOCKS - 1, 0.975)) * apart
-            centres = zip(intervals, solution.unknowns.tolist(), widths.tolist(), strict=True)
-            intervals = [(min(low, x - width), max(high, x + width)) for (low, high), x, width in centres]
+            width = float(stdtrit(BLOCKS - 1, 0.975)) * apart[:, None]
+            ends = np.hstack([np.minimum(ends[:, :1], x - width), np.maximum(ends[:, 1:], x + width)])
         found, shifts = dict[str, Estimated](), explanations[0].shifts if explanations else {}
         for j, (name, each) in enumerate(zip(problem.labels, problem.unknowns, strict=True)):
             # a model that explains more has other values: its interval counts as well
-            (low, high), shift = intervals[j], shifts.get(name, 0.0)
+            (low, high), shift = ends[j].tolist(), shifts.get(name, 0.0)
             interval = max(low + min(shift, 0.0), each.low), min(high + max(shift, 0.0), each.high)
             value, error = float(solution.unknowns[j]), float(errors[j])
             found[name] = Estimated(name, each.unit, each.start, value, error, interval, profiled=j in profiled)
         for name, reason in solved.kept.items():
             each = next(each for each in self._parameters if each.name == name)
             found[name] = Estimated(name, each.unit, each.start, each.start, math.nan, (each.start,) * 2, kept=reason)
-        wider = errors / np.maximum(np.sqrt(np.diag(solution.covariance)), LEAST_ERROR)
+        wider = errors / np.maximum(own, LEAST_ERROR)
         covariance = (solution.covariance * np.outer(wider, wider))[:count, :count]
         return Identification(
             self._name,
@@ -714,10 +706,8 @@ def _lagged(signal: RealArray, channel: Channel) -> RealArray:
 
 def _ringing(noise: ColouredNoise, duration: float) -> float | None:
     """Frequency of the least damped pair of poles of a noise's model, where it rings for long [Hz]."""
-    for frequency, damping in noise.resonances:
-        if damping < RINGING and frequency * duration > NARROW and frequency < 0.4 / noise.step:
-            return frequency
-    return None
+    able = ((f, damping) for f, damping in noise.resonances if f * duration > NARROW and f < 0.4 / noise.step)
+    return next((f for f, damping in able if damping < RINGING), None)
 
 
 def _first_delay(experiment: Experiment, run: Recording) -> float:
@@ -777,15 +767,14 @@ def _candidates(scene: Scene, torques: Sequence[RealArray]) -> Iterable[tuple[st
         count = getattr(effects, family)
         words = family.replace("_", " ")
         yield (f"{words} (one mode)" if not count else f"one more mode of {words}"), {f"effects.{family}": count + 1}
-    friction = effects.joint_friction
     size = max((float(np.abs(each).max()) for each in torques), default=10.0)
-    if not friction.viscous:
-        yield "viscous friction of the motors", {"effects.joint_friction.viscous": 0.01 * size}
-    if not friction.coulomb:
-        yield "dry friction of the motors", {"effects.joint_friction.coulomb": 0.02 * size}
-    if not effects.motor_inertia:
-        yield "inertia of the motors", {"effects.motor_inertia": 0.01}
-    if not effects.foreshortening:
-        yield "foreshortening of bent links", {"effects.foreshortening": True}
-    if effects.transmission is None:
-        yield "elastic transmissions", {"effects.transmission": {"stiffness": 1e5}}
+    others: Mapping[str, tuple[str, Any]] = {
+        "joint_friction.viscous": ("viscous friction of the motors", 0.01 * size),
+        "joint_friction.coulomb": ("dry friction of the motors", 0.02 * size),
+        "motor_inertia": ("inertia of the motors", 0.01),
+        "foreshortening": ("foreshortening of bent links", True),
+        "transmission": ("elastic transmissions", {"stiffness": 1e5}),
+    }
+    for key, (words, value) in others.items():
+        if not attrgetter(key)(effects):
+            yield words, {f"effects.{key}": value}

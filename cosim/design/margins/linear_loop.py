@@ -325,6 +325,15 @@ class LiftedLoop:
         return np.asarray(-share.conj().swapaxes(1, 2) @ lifted)
 
 
+def open_loop(a: RealArray, b: RealArray, c: RealArray, d: RealArray, step: float | None) -> LiftedLoop:
+    """The loop that a system alone is, x' = A x + B u continuous, or from inputs that are held for a step [s] to outputs at its ends."""
+    n, m = b.shape
+    if step is not None:
+        held = expm(step * np.block([[a, b], [np.zeros((m, n + m))]]))
+        a, b = held[:n, :n], held[:n, n:]
+    return LiftedLoop(a, b, c, d, tuple((i, 0.0) for i in range(m)), step or 0.0, ())
+
+
 @lru_cache(maxsize=4096)
 def _fraction(time: float) -> Fraction:
     return Fraction(time).limit_denominator(FINEST)

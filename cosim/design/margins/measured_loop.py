@@ -14,10 +14,9 @@ from math import ceil, gcd, inf, lcm, nan, pi
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from flexfmu.cosim.design.margins.linear_blocks import LinearBlock
-from flexfmu.cosim.design.margins.linear_loop import FINEST, ComplexArray, Continuous, LiftedLoop, LinearLoop
+from flexfmu.cosim.design.margins.linear_loop import FINEST, ComplexArray, Continuous, LiftedLoop, LinearLoop, open_loop
 from flexfmu.cosim.design.margins.loci import loop_figures, margins_with_errors, refined
 from flexfmu.cosim.design.margins.margins import FIGURES, LoopMargins, OpenLoop, PoseMargins, frequencies_of
 from flexfmu.cosim.design.margins.scene_loop import WiredSystem
@@ -111,13 +110,7 @@ class MeasuredLoop:
         """The model between the same signals, continuous or held for a sample as the response is."""
         plant, step = self._plant, self.response.sample_time
         rows, columns = [*map(plant.outputs.index, self._outputs)], [*map(plant.inputs.index, self._inputs)]
-        n, m = len(plant.a), len(columns)
-        a, b = plant.a, plant.b[:, columns]
-        if step is not None:
-            held = expm(step * np.block([[a, b], [np.zeros((m, n + m))]]))
-            a, b = held[:n, :n], held[:n, n:]
-        times = tuple((i, 0.0) for i in range(m))
-        return LiftedLoop(a, b, plant.c[rows], plant.d[np.ix_(rows, columns)], times, step or 0.0, ())
+        return open_loop(plant.a, plant.b[:, columns], plant.c[rows], plant.d[np.ix_(rows, columns)], step)
 
     def _with_probes(self) -> tuple[LinearLoop, RealArray]:
         """The loop with further channels that add to each signal, and the instants [s] at which what they add is read.

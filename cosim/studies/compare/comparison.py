@@ -192,7 +192,10 @@ class Comparison(Rows):
 
     def tables(self) -> list[Table]:
         """Return the tables of the page: metrics, loops, and the differences of a measurement; those that have rows."""
-        measured = [] if self.measured is None else [difference_table(self.measured)]
+        measured = []
+        if each := self.measured:
+            note = f"{each.name} is {delay_text(each.delay)}. In the last column: RMS relative to the measured range."
+            measured = [difference_table(f"{each.name} minus simulation", each.recording, each.differences, note)]
         found = [table for table in (metrics_table(self.runs), *loop_tables(self.runs), *measured) if table.rows]
         return found or [table for run in self.runs[1:] if (table := _signals_table(run, self.runs[0])).rows]
 
@@ -277,19 +280,11 @@ def delay_text(delay: Delay) -> str:
     return f"{what}{margin}, correlation {delay.correlation:.4f}"
 
 
-def difference_table(measured: Measured) -> Table:
-    """Return RMS, mean and largest difference of each signal from each run."""
-    note = f"{measured.name} is {delay_text(measured.delay)}. In the last column: RMS relative to the measured range."
-    title = f"{measured.name} minus simulation"
-    return Table(title, DIFFERENCES, _difference_rows(measured.recording, measured.differences), note)
-
-
-DIFFERENCES = ["Signal", "Run", "RMS", "Mean", "Largest", "Range"]
-"""Head of a table of differences."""
-
-
-def _difference_rows(recording: Recording, differences: Mapping[str, Mapping[str, Difference]]) -> list[list[str]]:
-    return [
+def difference_table(
+    title: str, recording: Recording, differences: Mapping[str, Mapping[str, Difference]], note: str
+) -> Table:
+    """Return RMS, mean and largest difference of each of a recording's signals from each run."""
+    rows = [
         [
             signal,
             run,
@@ -300,6 +295,7 @@ def _difference_rows(recording: Recording, differences: Mapping[str, Mapping[str
         for signal, each in signals.items()
         for unit in [shown_unit(recording[signal].unit)]
     ]
+    return Table(title, ["Signal", "Run", "RMS", "Mean", "Largest", "Range"], rows, note)
 
 
 def _signals_table(run: ComparedRun, first: ComparedRun) -> Table:
@@ -312,8 +308,7 @@ def _signals_table(run: ComparedRun, first: ComparedRun) -> Table:
             if time.size and np.ptp(time) > 0.0:
                 found[name] = Difference(time, own.at(time), other.at(time))
     note = "In the last column: RMS relative to the signal's range."
-    rows = _difference_rows(run.recording, {first.name: found})
-    return Table(f"{run.name} minus {first.name}", DIFFERENCES, rows, note)
+    return difference_table(f"{run.name} minus {first.name}", run.recording, {first.name: found}, note)
 
 
 def _sampled(recording: Recording, name: str) -> TimedValues:
