@@ -177,7 +177,7 @@ class ResidualVibration:
     @cached_property
     def _moved(self) -> RealArray:
         """End effector at instants after the motion by elastic coordinates and rates at its end, (P, times, 2, 2, n)."""
-        step = _instant(self.rests[0])
+        step = 2.0 * math.pi / A_PERIOD / float(free_modes(self.rests[0]).frequencies[:, :2].max(initial=1.0))
         return joined([free_motion(rest, self._settled_within, step, INSTANTS) for rest in self.rests])
 
     def peaks(self, states: RealArray, robots: NDArray[np.intp]) -> RealArray:
@@ -199,6 +199,11 @@ def bounds(matrices: RealArray, states: RealArray) -> RealArray:
 def _sizes(amplitudes: RealArray) -> RealArray:
     """Bounds (P,) [m] of the displacement by modal places and rates (P, 2, k)."""
     return np.asarray(np.linalg.norm(amplitudes, axis=1).sum(axis=-1))
+
+
+def _largest(amplitudes: Sequence[RealArray]) -> float:
+    """The largest bound [m] of all ways and cases, by modal places and rates (C, 2, k)."""
+    return max(float(_sizes(each).max(initial=0.0)) for each in amplitudes)
 
 
 class LeftVibration:
@@ -263,11 +268,6 @@ def _to_amplitudes(rest: Rest, settled_within: float) -> RealArray:
 
 INSTANTS, A_PERIOD = 200, 16
 """Instants after the motion at which its vibration is examined, and how many of them the faster of the two lowest modes has in a period."""
-
-
-def _instant(rest: Rest) -> float:
-    """The time [s] between these instants."""
-    return 2.0 * math.pi / A_PERIOD / float(free_modes(rest).frequencies[:, :2].max(initial=1.0))
 
 
 PRICES = 2.0, 500.0
@@ -532,7 +532,7 @@ class Stage:
         # of all rows of each way, and of loads of the cycle: none at first
         self._prices = [np.zeros(0)] * len(ways), np.zeros(sum(each.size for each in loads.values()))
         self._scale = np.concatenate([way.scale for way in self.ways])
-        self._metric = self._diagonal([way.metric for way in self.ways])
+        self._metric = block_diag(*(way.metric for way in self.ways))
         self.left = None
         if len(ways) > 1:
             ends, pauses = [way.vibration.rests for way in self.ways], [way.limits.pause for way in ways]
@@ -580,8 +580,7 @@ class Stage:
         return replace(state, amplitudes=amplitudes, violations=violations)
 
     def _residual_violation(self, amplitudes: Sequence[RealArray]) -> float:
-        residual = max(float(_sizes(each).max(initial=0.0)) for each in amplitudes)
-        return max(0.0, residual / self.residual - 1.0) * RESIDUAL_SCALE
+        return max(0.0, _largest(amplitudes) / self.residual - 1.0) * RESIDUAL_SCALE
 
     def _loads(self, states: Sequence[WayState]) -> dict[str, RealArray]:
         """Each load of the cycle, for all cases relative to its limit, of both joints (C, 2) or (C, 1)."""
@@ -651,7 +650,7 @@ class Stage:
             state.amplitudes,
             amplitudes_by,
             slope,
-            self._diagonal(curvatures),
+            block_diag(*curvatures),
             (np.concatenate(down), np.concatenate(up)),
         )
 
@@ -798,11 +797,6 @@ class Stage:
         """The motions after a step of the variables."""
         return tuple(motion.moved(step[way.columns]) for way, motion in zip(self.ways, motions, strict=True))
 
-    @staticmethod
-    def _diagonal(blocks: Sequence[RealArray]) -> RealArray:
-        """The matrix that has the ways' own ones on its diagonal."""
-        return blocks[0] if len(blocks) == 1 else np.asarray(block_diag(*blocks))
-
 
 LOOSE, FALL = 2e-5, 12.0
 """Bound of the residual vibration [m] in the first stages, and about how much it falls from each to the next."""
@@ -921,7 +915,7 @@ def optimal_motion(
             return
         # what else lies between them tightens the limits
         missed = {name for name, is_missed in zip(GROUPS, exact.violations > CHECKED, strict=True) if is_missed}
-        beyond, worst = {"residual": min(_residual(exact) / limit, TIGHTER)}, list[int]()
+        beyond, worst = {"residual": min(_largest(exact.amplitudes) / limit, TIGHTER)}, list[int]()
         if "clearance" in missed:
             # also between instants of the coarse grid
             excess["clearance"] = excess.get("clearance", 0.0) + DEPTH * float(exact.violations[CLEARANCE])
@@ -951,10 +945,6 @@ def spread(count: int, number: int) -> list[int]:
     return sorted({int(k) for k in np.rint(nodes * (count - 1))}) if number > 1 else [(count - 1) // 2]
 
 
-def _residual(state: State) -> float:
-    return max(float(_sizes(each).max(initial=0.0)) for each in state.amplitudes)
-
-
 def _improvement(state: State) -> Improvement:
     violations = dict(zip(GROUPS, state.violations.tolist(), strict=True))
-    return Improvement(state.motions, violations, _residual(state), checked=False)
+    return Improvement(state.motions, violations, _largest(state.amplitudes), checked=False)
