@@ -309,7 +309,7 @@ def _evenly(corners: RealArray) -> RealArray:
 
 
 def clearance_of_trace(trace: RealArray, corridor: float, below: float) -> Clearance:
-    """What a motion clears: the region between its trace and the chord from start to end, and a corridor around it.
+    """What a motion clears: the region between its trace and the chord from start to end with all below it, and a corridor around it.
 
     Args:
         trace: points of the motion (N, 2) [m].
@@ -337,4 +337,7 @@ def clearance_of_trace(trace: RealArray, corridor: float, below: float) -> Clear
             start + (min(v.min(), 0.0) - below) * up,
         ]
     )
-    return Clearance((Polygon.of(trace),), origins, np.array([across, -across, -up, up]))
+    # one region with what lies below the chord, or the chord itself would be a way between them; the robot may sag at both ends
+    inset, depth = (2.0 * below + TOUCHING) * across, (below + 2.0 * v.max() - min(v.min(), 0.0)) * up
+    wall = np.array([end - inset, end - inset - depth, start + inset - depth, start + inset])
+    return Clearance((Polygon.of(np.concatenate([trace, wall])),), origins, np.array([across, -across, -up, up]))

@@ -221,6 +221,8 @@ def test_a_motion_clears_what_it_goes_around() -> None:
     kept_clear = [[0.15, 0.04], [0.15, 0.065], [-0.02, 0.001], [0.32, 0.02], [0.15, -0.002]]
     assert (clearance.distance(np.array(allowed)) > 0.0).all()
     assert (clearance.distance(np.array(kept_clear)) < 0.0).all()
+    # the chord is no way between what lies above and below it
+    assert (clearance.distance(np.linspace([0.03, 0.0], [0.27, 0.0], 25)) < -0.01).all()
     # without regions everything is allowed
     assert np.isinf(Clearance((), np.empty((0, 2)), np.empty((0, 2))).distance(np.array(kept_clear))).all()
 
