@@ -180,9 +180,9 @@ class Loads:
         found = self.integral(load, convex) + self._pause * convex(at_rest)[0]
         return found if name in ROOTS else found.sum(axis=1, keepdims=True)
 
-    def need(self, name: str) -> RealArray:
-        """The largest magnitude of a load, or what is added to one of the cycle: of both joints (P, 2), or (P,)."""
-        found = self.of_cycle(name) if name in OF_CYCLE else np.abs(self.values(name)).max(axis=1)
+    def need(self, name: str, instants: int | None = None) -> RealArray:
+        """The largest magnitude of a load at the first instants, or what is added to one of the cycle: of both joints (P, 2), or (P,)."""
+        found = self.of_cycle(name) if name in OF_CYCLE else np.abs(self.values(name)[:, :instants]).max(axis=1)
         return found if found.shape[1] == 2 else found.max(axis=1)
 
     def integral(self, name: str, convex: Convex) -> RealArray:

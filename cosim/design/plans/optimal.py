@@ -27,7 +27,7 @@ from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.planning import plan_rigid
 from flexfmu.cosim.many.journal import WorkJournal
 from flexfmu.model.reference_design import optimal_control
-from flexfmu.model.reference_design.elastic_response import LINK_LOADS, FleetResponse, RobotVariant, joined
+from flexfmu.model.reference_design.elastic_response import LINK_LOADS, SHARED, FleetResponse, RobotVariant, joined
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
 from flexfmu.model.reference_design.joint_spline import REST, DesignedMotion, JointSpline, fitted
 from flexfmu.model.reference_design.loads import OF_CYCLE, ROOTS, Loads, weight_of_squares
@@ -49,8 +49,8 @@ PAYLOADS = 25, 13
 FULLER_NODES, FEW = 4, 7
 """Payloads that the programmes have of the fuller model, and those of the scene's model for the first motion."""
 
-GIVEN_STEPS = 300
-"""Steps of the integration for the given motion's loads."""
+GIVEN_STEPS, SWINGING = 304, 2.0
+"""Steps of the integration for the given motion's loads, and for how many of its durations the robot swings after it, at most."""
 
 STARTS = (0.65, 0.5, 0.8)
 """Durations of the first motions where it is free, relative to the given one: the next serves where the one before finds nothing."""
@@ -464,11 +464,15 @@ def _given_loads(goals: Goals, robots: Sequence[RobotVariant], names: Sequence[s
     joints = goals.given.once.joints
     first, last = joints.evaluate([0.0, joints.duration], 0, "right")[0]
     link_loads = tuple(name for name in LINK_LOADS if name in names)
-    elastic = FleetResponse(robots, first, GIVEN_STEPS, link_loads)
-    references = np.hstack(list(joints.evaluate(elastic.fractions * joints.duration, 2, "left")))
+    # torques of the pause are those of a robot that still swings, as in the FMU
+    swinging = SHARED * int(GIVEN_STEPS / SHARED * min(goals.standstill / joints.duration, SWINGING))
+    elastic = FleetResponse(robots, first, GIVEN_STEPS + swinging, link_loads)
+    duration = joints.duration * (1.0 + swinging / GIVEN_STEPS)
+    references = np.hstack(list(joints.evaluate(elastic.fractions * duration, 2, "left")))
     holding = joined([part.model.rest(last).torque for part in elastic.parts])
-    loads = Loads(elastic.respond(references, joints.duration), holding, goals.standstill, goals.drives, link_loads)
-    return {name: loads.need(name) for name in names}
+    still = goals.standstill + joints.duration - duration
+    loads = Loads(elastic.respond(references, duration), holding, still, goals.drives, link_loads)
+    return {name: loads.need(name, 3 * GIVEN_STEPS) for name in names}
 
 
 def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:

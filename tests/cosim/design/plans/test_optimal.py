@@ -30,7 +30,7 @@ from flexfmu.cosim.design.plans.planner import PlanResult, plan_scene
 from flexfmu.cosim.design.plans.sampled_loop import loop_run, with_learned_torques
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.many.journal import FILE, WorkJournal, about_scene
-from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.optimal_control import GROUPS, Improvement, ResidualVibration, Way
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
@@ -145,6 +145,22 @@ def test_what_settles_is_bounded_as_the_fmu_settles(ratio: float, mass: float, t
         swing = float(away[run.recording.time >= time + wait].max())
         bound = float(ResidualVibration([response.model], last, wait).largest(state)[0])
         assert 0.99 * swing - 1e-8 < bound < 2.0 * swing + 1e-8
+
+
+@pytest.mark.parametrize("dwell", [0.25, 1.5])
+def test_rms_torques_of_the_given_motion_have_its_swing_as_in_the_fmu(dwell: float) -> None:
+    """Without damping the torques of the pause are up to a tenth of them; after a long pause the robot is taken to rest."""
+    damping = {"kind": "modal", "ratio": 0.1} if dwell > 1.0 else {"kind": "none"}
+    goals = goals_of(
+        SCENE.replace(
+            {"effects.damping": damping, "trajectory.dwell": dwell, "payload.mass": 4.2, "plan.limits.rms_torque": None}
+        )
+    )
+    (peaks,) = Judge(goals).given.peaks
+    robots = [RobotVariant(goals.scene, each.changes(goals.scene), CompiledAtPoints) for each in goals.variations(1)]
+    squares = method._given_loads(goals, robots, ["rms_torque"])["rms_torque"][0]
+    found = np.sqrt(squares / (goals.given.once.duration + dwell))
+    assert found == pytest.approx(np.array(peaks.values["rms_torque"]), rel=3e-3)
 
 
 @pytest.mark.slow
