@@ -680,8 +680,8 @@ class Stage:
             amplitudes=tuple(now - by @ step for now, by in zip(state.amplitudes, linear.amplitudes_by, strict=True)),
         )
 
-    def step(self, linear: Linear, penalty: float) -> tuple[RealArray, float]:
-        """The best step (m,) and the change of the cost, with the price of what isn't met after it, as they predict.
+    def step(self, linear: Linear, penalty: float) -> tuple[RealArray, float, float]:
+        """The best step (m,), the change of the cost with the price of what isn't met after it, and the sum of that, as they predict.
 
         The multipliers of the rows are kept: they weigh the curvature of the next programme.
         """
@@ -742,7 +742,8 @@ class Stage:
         for each, rows, some, found in zip(of_rows, linear.rows, near, parts, strict=False):
             each[np.flatnonzero(rows.deciding)[some]] = found
         self._prices = of_rows, parts[len(near)]
-        return x[:m], float(cost @ x) + 0.5 * float(x[:m] @ linear.curvature @ x[:m])
+        predicted = float(cost @ x) + 0.5 * float(x[:m] @ linear.curvature @ x[:m])
+        return x[:m], predicted, float(x[m : m + slacks].sum())
 
     def improvements(self, start: Motions, iterations: int, penalty: float = PENALTY[0]) -> Iterator[State]:
         """Better and better motions, from the start on.
@@ -756,7 +757,11 @@ class Stage:
         linear = self.linear(state)
         yield state
         for _ in range(iterations):
-            step, predicted = self.step(linear, penalty)
+            step, predicted, missed = self.step(linear, penalty)
+            if missed > float(state.violations.sum()) + MET and self.price < PRICES[1]:
+                # it would rather miss more than it does
+                self.price *= 4.0
+                continue
             fall = self.merit(state) - state.cost - predicted
             if fall < max(ENOUGH, 0.02 * self.price * float(state.violations.max())):
                 # the best motion, or one that would rather pay than meet its limits

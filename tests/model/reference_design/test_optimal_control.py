@@ -252,6 +252,21 @@ def test_limited_references_give_the_fastest_motion_from_rest_to_rest(
     assert 0.999 * fastest <= last.motions[0].duration < 1.12 * fastest
 
 
+def test_a_limit_that_time_hardly_moves_is_kept_from_the_first_motions_on(rigid: Scene, given: JointSpline) -> None:
+    """RMS torques that gravity makes for the most part: a programme that would rather miss them than be slow gets a higher price at once."""
+    slow, pause = given.with_duration(1.0), 0.25
+    elastic = ElasticResponse(rigid, [{}], slow.coefficients[0], 60)
+    response = elastic.of_motion(slow, derivatives=False)
+    squares = Loads(response, elastic.model.rest(slow.coefficients[-1]).torque, pause).of_cycle("rms_torque")
+    limits = MotionLimits({"torque": np.full((1, 2), WIDE)}, WIDE, WIDE, WIDE, 1e-6, above, pause=pause)
+    way = Way([RobotVariant(rigid, {})], limits, slow.with_duration(0.65))
+    found = list(optimal_motion([way], {"rms_torque": np.sqrt(squares / (1.0 + pause))}))
+    assert found[-1].checked
+    assert found[-1].motions[0].duration < 0.63
+    # three first motions are too fast, and none is later
+    assert all(each.violations["rms_torque"] < 0.01 for each in found[3:])
+
+
 @pytest.mark.parametrize("aim", ["torque", "rms_torque", "energy"])
 def test_the_effort_has_its_derivatives_and_falls_in_the_given_duration(
     scene: Scene, variants: list[dict[str, float]], given: JointSpline, limits: MotionLimits, aim: Aim
