@@ -372,21 +372,38 @@ def write_parquet(path: Path, time: RealArray, columns: Mapping[str, Column], ab
         ResultsError: the file can't be written, with the system's reason.
     """
     import pyarrow
-    from pyarrow import parquet
 
-    every = {"time": Column("s", time), **columns}
-    fields = [
-        pyarrow.field(
-            name, pyarrow.float64() if column.texts is None else pyarrow.string(), metadata={"unit": column.unit}
-        )
-        for name, column in every.items()
-    ]
-    schema = pyarrow.schema(fields, metadata={**about, "jumps": TWICE})
-    table = pyarrow.table([pyarrow.array(column.listed()) for column in every.values()], schema=schema)
+    every, kinds = {"time": Column("s", time), **columns}, (pyarrow.float64(), pyarrow.string())
+    arrays = {
+        name: (pyarrow.array(each.listed(), kinds[each.texts is not None]), each.unit) for name, each in every.items()
+    }
     # a dictionary pays for texts alone
     texts = [name for name, column in columns.items() if column.texts is not None]
+    return write_arrays(path, arrays, {**about, "jumps": TWICE}, texts or False)
+
+
+def write_arrays(
+    path: Path, columns: Mapping[str, tuple[Any, str]], about: Mapping[str, str], dictionary: bool | list[str] = True
+) -> Path:
+    """Write a Parquet table, whose columns have their units as metadata, and return the path.
+
+    Args:
+        path: of the file.
+        columns: name → array of pyarrow, and unit; empty for none.
+        about: key → text for the metadata of the file.
+        dictionary: columns whose different values are written once; all or none of them.
+
+    Raises:
+        ResultsError: the file can't be written, with the system's reason.
+    """
+    import pyarrow
+    from pyarrow import parquet
+
+    units = {name: {"unit": unit} if unit else None for name, (_, unit) in columns.items()}
+    fields = [pyarrow.field(name, array.type, metadata=units[name]) for name, (array, _) in columns.items()]
+    table = pyarrow.table([array for array, _ in columns.values()], pyarrow.schema(fields, dict(about)))
     with replacing(path) as temporary:
-        parquet.write_table(table, temporary, use_dictionary=texts or False)
+        parquet.write_table(table, temporary, use_dictionary=dictionary)
     return path
 
 

@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.engine.files import OutputFolder, replacing, write_pieces, write_whole
+from flexfmu.cosim.engine.files import OutputFolder, write_pieces, write_whole
+from flexfmu.cosim.engine.formats import write_arrays
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import Rows, cell_text, safe_cell, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
@@ -448,7 +449,6 @@ def write_parquet(result: SweepResult, path: Path) -> Path:
         ImportError: pyarrow isn't installed.
     """
     import pyarrow
-    from pyarrow import parquet
 
     columns: dict[str, Any] = {}
     for name, values in result.row_columns().items():
@@ -456,12 +456,5 @@ def write_parquet(result: SweepResult, path: Path) -> Path:
         if kinds - {bool} and kinds - {int, float}:
             values = [None if each is None else text_of(each) for each in values]  # other kinds, or mixed ones
         kind = pyarrow.float64() if kinds == {int, float} or (not kinds and name in result.cases.keys) else None
-        columns[name] = pyarrow.array(values, kind, from_pandas=True)
-    fields = [
-        pyarrow.field(name, values.type, metadata={"unit": unit} if (unit := result.units.get(name)) else None)
-        for name, values in columns.items()
-    ]
-    about = {"flexfmu": json.dumps({"scene": result.name, "units": dict(result.units)})}
-    with replacing(path) as temporary:
-        parquet.write_table(pyarrow.table([*columns.values()], pyarrow.schema(fields, about)), temporary)
-    return path
+        columns[name] = pyarrow.array(values, kind, from_pandas=True), result.units.get(name, "")
+    return write_arrays(path, columns, {"flexfmu": json.dumps({"scene": result.name, "units": dict(result.units)})})
