@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -302,6 +303,8 @@ class Judge:
         if place not in self.goals.judged:
             key = ["judged", len(self.variations), candidate.content]
             self.goals.judged[place] = self.journal.kept(key, Judged, lambda: self._judged(candidate, given=given))
+            # runs and their metrics refer to each other, and recordings are large
+            gc.collect()
         return Assessment(candidate, *self.goals.judged[place])
 
     def of_ways(self, candidate: Candidate, *, given: bool = False) -> tuple[Assessment, ...]:

@@ -8,7 +8,6 @@ On the given path the end effector of the flexible robot makes the given motion.
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -327,8 +326,6 @@ def _attempt(
 
     def best() -> Any:
         last: optimal_control.Improvement | None = None
-        # recordings of what was judged are in cycles of references
-        gc.collect()
         # few cases have no others between them
         some = nodes if max(nodes) < len(ways[0].cases) else range(len(ways[0].cases))
         try:
