@@ -73,6 +73,7 @@ class Candidate:
         scene: the scene with this motion's keys.
         trajectory: motion of the joints q11, q21 [rad], in place of the scene's; None for the scene's own motion.
         ways: the motions of a cycle; empty for a single motion. The scene is that of the first one.
+        is_rough: whether it was planned for few robots, as a start for a motion for all, which is chosen before it.
     """
 
     label: str
@@ -80,6 +81,7 @@ class Candidate:
     scene: Scene
     trajectory: Trajectory | None = None
     ways: tuple[Candidate, ...] = ()
+    is_rough: bool = False
 
     @property
     def content(self) -> Mapping[str, Any]:

@@ -398,13 +398,19 @@ def check_holding_torque(goals: Goals, given: Mapping[Variation, Sequence[float]
     for (end, k, joint), torque in np.ndenumerate(torques):
         robot = robots[k]
         holding = f"which hold {robot} at the {('start', 'end')[end]} of the motion against gravity"
-        if drives is not None and "motor_rms_torque" in goals.limits:
+        if drives is not None:
             motor = drives.motors[joint]
-            if (at_shaft := torque / motor.gear_ratio) > motor.continuous_torque:
-                raise InputError(
-                    f"`motor.continuous_torque` = {motor.continuous_torque:g} N·m is below {at_shaft:.4g} N·m at the shaft of motor "
-                    f"{joint + 1}, {holding}: take a stronger motor or gear, or carry less"
-                )
+            at_shaft = torque / motor.gear_ratio
+            curve = "torque_speed_curve" if motor.torque_speed_curve else "peak_torque"
+            for name, key, most in (
+                ("motor_rms_torque", "continuous_torque", motor.continuous_torque),
+                ("motor_torque", curve, float(drives.largest(np.zeros((1, 2)))[0][0, joint])),
+            ):
+                if name in goals.limits and at_shaft > most:
+                    raise InputError(
+                        f"`motor.{key}` allows {most:g} N·m at rest, less than {at_shaft:.4g} N·m at the shaft of motor {joint + 1}, "
+                        f"{holding}: take a stronger motor or gear, or carry less"
+                    )
         if limit is None:
             continue
         most, wish = limit.limit, f"{limit.limit:g} N·m"

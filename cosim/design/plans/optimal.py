@@ -8,6 +8,7 @@ On the given path the end effector of the flexible robot makes the given motion.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -175,6 +176,8 @@ def refined(
             return number > (few is not None)
         motions, is_near = tried
         candidate = made(motions)
+        if some is few:
+            candidate = replace(candidate, label=f"{candidate.label}, few payloads", is_rough=True)
         yield candidate
         if not is_near:
             return number > (few is not None)
@@ -207,8 +210,8 @@ rises; the residual vibration falls faster, and only slows a motion down, by and
 NEAR_FRONT = 0.1
 """Violation of the limits up to which a motion of a front is given to the FMU to judge."""
 
-LEVELS, LIFTED, LOOSER = (10, 4), 1e3, 10.0
-"""Numbers of levels of fronts of two figures and of three, the factor of a limit that isn't one, and that of the largest residual."""
+LEVELS, LIFTED = (10, 4), 1e3
+"""Numbers of levels of fronts of two figures and of three, and the factor of a limit that isn't one."""
 
 
 def _front(
@@ -222,7 +225,8 @@ def _front(
     axes: list[str] = [each for each in goals.wishes.front if each != goals.wishes.minimise]
     own = {name: Limit(name, 1.0, "1", is_relative=True) for name in axes if name != "residual"}
     unit_ways, unit_loads = limited(replace(goals, limits={**goals.limits, **own}), given, motions)
-    natural = {name: LOOSER if name == "residual" else LIFTED for name in axes}
+    # from what the motion needs without these limits on, or from where the wishes end
+    natural = {name: min(_allowed(goals, given, name), LIFTED) for name in axes}
     levels = [np.geomspace(1.0, FRONT_TO[name][0], LEVELS[len(axes) - 1]).tolist() for name in axes]
     # forth and back, so that neighbours follow each other
     grid = [(first, *more) for k, first in enumerate(levels[0]) for more in list(product(*levels[1:]))[:: (-1) ** k]]
@@ -250,17 +254,25 @@ def _front(
             candidate = _candidate(goals, f"front: {levels_text}", splines)
             yield candidate
             judged = judge.assess(candidate)
-            beyond = {name: each for name, each in excesses(judged).items() if name not in axes}
+            beyond = excesses(judged)
             if not beyond:
                 break
-            excess |= beyond
+            excess |= {name: excess.get(name, 1.0) * each for name, each in beyond.items()}
         if not splines:
             return
         if number == 0:
             # what the motion needs without these limits
             needed = {name: max(need / usual for need, usual, _ in needs(name, judged, judge.given)) for name in own}
-            natural |= needed
+            natural |= {name: min(natural[name], each) for name, each in needed.items()}
             before = {**before, **needed}
+
+
+def _allowed(goals: Goals, given: Assessment, name: str) -> float:
+    """The limit of a figure relative to the given motion's, of the residual vibration to the wish; infinite for none."""
+    limit = goals.limits.get(name)
+    if name == "residual" or limit is None or limit.is_relative:
+        return 1.0 if name == "residual" else math.inf if limit is None else limit.limit
+    return min(limit.limit / usual for _, usual, _ in needs(name, given, given) if usual)
 
 
 def _shares(goals: Goals, given: Assessment) -> tuple[float, ...]:

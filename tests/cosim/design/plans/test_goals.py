@@ -346,7 +346,15 @@ def test_limits_of_shafts_are_of_the_motors_and_ratios_of_the_given_motion() -> 
     assert uses["motor_speed"].share == pytest.approx(speed / given_speed / 1.1, rel=2e-3)
 
 
-def test_a_motor_that_cannot_hold_the_payload_is_an_error() -> None:
-    motor = {"continuous_torque": 0.2, "peak_torque": 4.8, "maximum_speed": 600.0, "gear_ratio": 25.0}
-    with pytest.raises(InputError, match=r"`motor\.continuous_torque` = 0\.2 N·m is below"):
-        checked_goals(load_scene("barnard2012-6kg").replace({"motor": motor}))
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"continuous_torque": 0.2}, "continuous_torque"),
+        ({"continuous_torque": 0.2, "peak_torque": 0.3, "thermal_time_constant": 20.0}, "continuous_torque"),
+        ({"torque_speed_curve": [[0.0, 0.2], [300.0, 4.8]]}, "torque_speed_curve"),
+    ],
+)
+def test_a_motor_that_cannot_hold_the_payload_is_an_error(changes: dict[str, Any], key: str) -> None:
+    motor = {"continuous_torque": 1.6, "peak_torque": 4.8, "maximum_speed": 600.0, "gear_ratio": 25.0}
+    with pytest.raises(InputError, match=rf"`motor\.{key}` allows 0\.2 N·m at rest, less than"):
+        checked_goals(load_scene("barnard2012-6kg").replace({"motor": motor | changes}))
