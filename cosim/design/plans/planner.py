@@ -153,7 +153,9 @@ class PlanResult(Rows):
         if self.missed:
             listed = [f"{use.name} {use.value:.4g} instead of {use.limit:.4g} ({use.where})" for use in self.missed]
             so_far = " so far" if self.interrupted else ""
-            return f"no motion found{so_far} keeps all limits; the nearest misses {', '.join(listed)}"
+            in_loop = any(use.name == "loop_residual" for use in self.missed)
+            remedy = ": finer encoders, shorter sample times or other gains leave less in the loop" if in_loop else ""
+            return f"no motion found{so_far} keeps all limits; the nearest misses {', '.join(listed)}{remedy}"
         uses = sorted(self.chosen.uses, key=lambda use: -use.share)
         closest = [use for use in uses if use is uses[0] or use.share > BINDING]
         listed = [f"{use.name} {use.value:.4g} of {use.limit:.4g} ({use.where})" for use in closest]
