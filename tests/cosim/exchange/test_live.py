@@ -400,7 +400,7 @@ def test_a_shaper_is_switched_on(browser: Any, tmp_path: Path) -> None:
     for name in ("peak_torque_1", "residual_vibration_amplitude"):
         shown = page.locator(f".tile [data-metric={name}]").inner_text()
         factor = definition(name).displayed(1.0)
-        assert number(shown) == pytest.approx(factor * (expected[name].value or 0.0), rel=1e-4)
+        assert number(shown) == float(f"{factor * (expected[name].value or 0.0):.4g}")
     assert problems == []
     page.context.close()
 
@@ -480,7 +480,7 @@ def test_a_sweep_simulates_the_point_that_is_picked(browser: Any, tmp_path: Path
     page.get_by_label("payload.mass").fill("5")
     page.wait_for_timeout(500.0)
     expected = measure_run(flexfmu.run(scene.replace({"payload.mass": 5.0, "trajectory.duration": 0.4})), 0)
-    assert number(tile.inner_text()) == pytest.approx(expected["peak_torque_1"].value, rel=1e-4)
+    assert tile.inner_text() == f"{expected['peak_torque_1'].value:.4g} N·m"
     assert problems == []
     page.context.close()
 
