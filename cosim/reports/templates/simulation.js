@@ -353,8 +353,12 @@ class Result {
     const values = this.signal(of);
     return values && [time, factor === 1 ? values : scaled(values)];
   }
-  // Hann window, mean removed, zeros appended to four times the length, as spectrum.py has it
   spectrum(axis, most = Infinity) {
+    const [x, y] = ((this.spectra ??= [])[axis] ??= this.transformed(axis)), shown = Math.ceil(most / x[1]);
+    return [x, y].map((each) => each.slice(0, shown));
+  }
+  // Hann window, mean removed, zeros appended to four times the length, as spectrum.py has it
+  transformed(axis) {
     const n = this.index(this.duration), time = this.time.subarray(n), values = this.ends(0)[axis].subarray(n), last = time.length - 1, count = Math.round((time[last] - time[0]) / this.simulation.facts.step);
     if (!(count >= 8)) return [[], []];
     const step = (time[last] - time[0]) / count, all = new Float64Array(count + 1);
@@ -371,8 +375,7 @@ class Result {
       const c = Math.cos((-Math.PI * k) / half), s = Math.sin((-Math.PI * k) / half);
       for (let i = k; i < size; i += 2 * half) { const j = i + half, x = c * re[j] - s * im[j], y = c * im[j] + s * re[j]; re[j] = re[i] - x; im[j] = im[i] - y; re[i] += x; im[i] += y; }
     }
-    const shown = Math.min(size / 2, Math.ceil(most * size * step));
-    return [Float64Array.from({ length: shown }, (_, i) => i / (size * step)), Float64Array.from({ length: shown }, (_, i) => (2 * Math.hypot(re[i], im[i])) / total)];
+    return [Float64Array.from({ length: size / 2 }, (_, i) => i / (size * step)), Float64Array.from({ length: size / 2 }, (_, i) => (2 * Math.hypot(re[i], im[i])) / total)];
   }
   /** The highest peak of spectra, from a parabola through the logarithms of three neighbours; resolved with two periods in the dwell. */
   peak(spectra) {
