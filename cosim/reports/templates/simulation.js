@@ -333,7 +333,8 @@ class Result {
     return POSITION.map((name) => this.signal(name, order));
   }
   rigids(order) {
-    return (this.known ??= {})[order] ??= [0, 1].map((k) => Float64Array.from({ length: this.size }, (_, i) => this.planned("task")[i * 2 * ENDS + 2 * order + k]));
+    const all = this.planned("task"), column = (k) => { const found = new Float64Array(this.size); for (let i = 0; i < this.size; i++) found[i] = all[i * 2 * ENDS + 2 * order + k]; return found; };
+    return ((this.known ??= {})[order] ??= [0, 1].map(column));
   }
   index(time, isAfter = false) {
     let n = 0;
@@ -391,19 +392,20 @@ class Result {
     if (!found[key]) {
       const all = [];
       for (let i = 0; i + 1 < size; i++) if (time[i + 1] > time[i]) { const middle = 0.5 * (time[i] + time[i + 1]); if (middle > from && middle < to) all.push(i); }
-      found[key] = { places: Int32Array.from(all), duration: Float64Array.from(all, (i) => time[i + 1] - time[i]), start: Float64Array.from(all, (i) => time[i]) };
+      const duration = Float64Array.from(all, (i) => time[i + 1] - time[i]), total = duration.reduce((sum, each) => sum + each, 0);
+      found[key] = { places: Int32Array.from(all), duration, total, start: Float64Array.from(all, (i) => time[i]) };
     }
     return found[key];
   }
   // derivatives at both ends of the segments, less those of something else
   segments(names, orders, from, to, offset) {
-    const { places, duration, start } = this.chosen(from, to), n = places.length, c = names.length, left = new Float64Array(orders * n * c), right = new Float64Array(orders * n * c);
+    const { places, duration, total, start } = this.chosen(from, to), n = places.length, c = names.length, left = new Float64Array(orders * n * c), right = new Float64Array(orders * n * c);
     for (let k = 0; k < orders; k++) for (let channel = 0; channel < c; channel++) {
       const name = names[channel], values = k < 3 ? this.signal(name, k) : this.signal(accelerationOf(name), k - 2);
       for (let s = 0, at = k * n * c + channel; s < n; s++, at += c) { const i = places[s]; left[at] = values[i]; right[at] = values[i + 1]; }
       if (offset) for (let s = 0, at = k * n * c + channel; s < n; s++, at += c) { const i = places[s]; left[at] -= offset(i, k, channel); right[at] -= offset(i + 1, k, channel); }
     }
-    return { n, c, orders, left, right, duration, start };
+    return { n, c, orders, left, right, duration, total, start };
   }
   // a planned motion at all instants, [instant][order][variable]; the first of two equal instants is the left limit
   planned(name) {
@@ -448,7 +450,7 @@ class Result {
   // what the reductions of `RecordedSignal` and `RecordedPower` (metrics.py) give of segments
   reduced(segments, how, argument = 0) {
     const { simulation } = this, { exports } = simulation, signal = this.analysed(segments), result = simulation.area("metrics result", 64), values = () => simulation.view(Float64Array, result, 7).slice();
-    const total = segments.duration.reduce((sum, each) => sum + each, 0);
+    const { total } = segments;
     if (segments.isPower) {
       if (!segments.parts) { exports.metrics_parts(signal, result); segments.parts = values(); }
       const [most, least, positive, negative] = segments.parts, all = { peak: [least, 0, most], energy: [negative, positive - negative, positive], mean: [0, (positive - negative) / total] };
@@ -488,7 +490,11 @@ class Result {
       duty_power: () => {
         const [one, other] = [this.part("duty_torque", joint), this.part("duty_speed", joint)], { n } = one ?? {};
         // by Leibniz' rule
-        const product = (u, v) => Float64Array.from(u, (_, i) => (i < n ? u[i] * v[i] : i < 2 * n ? u[i] * v[i - n] + u[i - n] * v[i] : u[i] * v[i - 2 * n] + 2 * u[i - n] * v[i - n] + u[i - 2 * n] * v[i]));
+        const product = (u, v) => {
+          const w = new Float64Array(3 * n);
+          for (let a = 0, b = n, c = 2 * n; a < n; a++, b++, c++) { w[a] = u[a] * v[a]; w[b] = u[b] * v[a] + u[a] * v[b]; w[c] = u[c] * v[a] + 2 * u[b] * v[b] + u[a] * v[c]; }
+          return w;
+        };
         return one && other && { ...one, isPower: true, left: product(one.left, other.left), right: product(one.right, other.right) };
       },
     }[method]?.();
