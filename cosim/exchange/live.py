@@ -335,10 +335,12 @@ def _simulated(run: Run, *, is_exact: bool) -> dict[str, Any]:
 
 def _tunable(scene: Scene) -> Scene:
     """The scene with delays that are parameters, where they aren't and can be; it has the same bits."""
-    sections = enumerate(scene.imperfection)
-    delays = {n: each for n, each in sections if isinstance(each, DelaySection) and each.longest is None}
-    linear = {n: each.time for n, each in delays.items() if each.time and each.interpolation.kind == "linear"}
-    return scene.replace({f"imperfection[{n}].longest": SPREAD * time for n, time in linear.items()})
+    longest = {
+        f"imperfection[{n}].longest": SPREAD * each.time
+        for n, each in enumerate(scene.imperfection)
+        if isinstance(each, DelaySection) and each.time and each.longest is None and each.interpolation.kind == "linear"
+    }
+    return scene.replace(longest)
 
 
 def _has_object(run: Run) -> bool:

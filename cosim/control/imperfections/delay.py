@@ -109,9 +109,9 @@ def delay(s: DelaySection, context: LoopContext) -> SymbolicBlock:
     """y(t_k) = u(t_k - time), interpolated between the samples; a whole number of samples is exact.
 
     A delay of whole samples before the filter leaves no direct feedthrough and breaks algebraic loops; with linear interpolation
-    these are delays of one sample and more. With a `longest` delay the tunable parameter ``time`` is zero to that. Before the first sample signals have the channels' initial values, or without these
+    these are delays of one sample and more. Before the first sample signals have the channels' initial values, or without these
     the value of the first sample. The filter acts on differences from the oldest sample, so that a constant signal stays the same
-    to the last bit.
+    to the last bit. With a `longest` delay [s] the block has the tunable parameter ``time``, from zero to that.
 
     Raises:
         InputError: the delay is too short for its interpolation.

@@ -73,7 +73,7 @@ class Candidate:
         scene: the scene with this motion's keys.
         trajectory: motion of the joints q11, q21 [rad], in place of the scene's; None for the scene's own motion.
         ways: the motions of a cycle; empty for a single motion. The scene is that of the first one.
-        is_rough: whether it was planned for few robots, as a start for a motion for all, which is chosen before it.
+        is_rough: whether it was planned for few robots, as a start for a motion for all, which is preferred.
     """
 
     label: str
@@ -299,7 +299,7 @@ class Judge:
         Raises:
             TrajectoryError: the motion isn't feasible.
             ResultsError: a run failed.
-        KeyboardInterrupt: after Ctrl-C, which ends a run early.
+            KeyboardInterrupt: after Ctrl-C, which ends a run early.
         """
         place = len(self.variations), "given" if given else candidate
         if place not in self.goals.judged:

@@ -322,6 +322,6 @@ def about_plan(scene: Scene, before: Sequence[Scene]) -> dict[str, Any]:
 
 
 def best(found: Sequence[Assessment], minimise: str) -> Assessment:
-    """Of motions that keep to all limits the one with least of what is minimised, first of those for all robots; without one the motion
-    whose worst excess is least."""
+    """Of motions that keep to all limits the one with least of what is minimised, preferring those planned for all robots; without one the
+    motion whose worst excess is least."""
     return min(found, key=lambda each: (each.excess, each.candidate.is_rough, each.worst(minimise)))
