@@ -13,7 +13,7 @@ from html import escape
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.cosim.engine.slave import RealArray
 
@@ -31,6 +31,9 @@ PLAIN_POINTS = 160
 PIXELS, LEAST_HEIGHT = 1.25, 110
 """Pixels of a point, and least height of a panel [px]."""
 
+MANY = 20.0
+"""Ratio of the largest to the smallest value from which on an axis is better logarithmic."""
+
 DASHES = "3.6,2.7"
 
 
@@ -47,6 +50,7 @@ class Curve:
         more: name with unit → further values (N,) that are shown instead of x and y.
         notes: text for each point that is shown as well.
         dashes: lengths of dashes and gaps, separated by commas.
+        fill: opacity of the area within a closed line; 0 for none.
         group: name for the page's script.
         source: what a page that simulates computes the curve from: ``of`` and ``factor`` for a signal or what ``Result.curve`` in
             simulation.js has, ``run`` for its place among the runs, or ``metric`` and ``key`` for a metric over a slider's value.
@@ -63,6 +67,7 @@ class Curve:
     more: Mapping[str, RealArray] = field(default_factory=dict)
     notes: Sequence[str] = ()
     dashes: str = ""
+    fill: float = 0.0
     group: str = ""
     source: Mapping[str, Any] | None = None
 
@@ -71,7 +76,7 @@ class Curve:
         chosen = thinned(self.y, most) if is_function else spread(self.y.size, most)
         known = {
             name: getattr(self, name)
-            for name in ("label", "colour", "width", "opacity", "dot", "is_read", "group", "source")
+            for name in ("label", "colour", "width", "opacity", "dot", "is_read", "fill", "group", "source")
         }
         channels = (self.x, self.y, *self.more.values())
         known |= {"dashes": [float(each) for each in self.dashes.split(",") if each]}
@@ -189,6 +194,13 @@ def _plain(panel: Panel, x_label: str) -> str:
     shape = "" if panel.is_to_scale else ' preserveAspectRatio="none"'
     box = f'viewBox="0 0 300 {scale[1] * size[1]:.0f}"{shape}'
     return f'<svg class="plain" {box} role="img" aria-label="{escape(said)}">{lines}</svg><p class="caption">{escape(said)}{key}</p>'
+
+
+def scale_of(values: ArrayLike) -> Literal["", "y"]:
+    """Return which axis `Panel.logarithmic` is for values of a vertical axis, which may be NaN: of positive ones far apart."""
+    known = np.asarray(values, dtype=float)
+    known = known[np.isfinite(known)]
+    return "y" if known.size and known.max() > MANY * known.min() > 0.0 else ""
 
 
 def thinned(y: RealArray, most: int = MOST_POINTS) -> NDArray[np.intp]:

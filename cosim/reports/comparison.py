@@ -104,19 +104,19 @@ class ComparedRun:
     run: Run | None = field(default=None, repr=False, compare=False)
 
 
-def comparison_page(runs: Sequence[ComparedRun], tables: Sequence[Table], plots: Sequence[Plot] = ()) -> Page:
+def comparison_page(runs: Sequence[ComparedRun], tables: Sequence[Table], plots: Sequence[Plot]) -> Page:
     """Return the page that compares runs.
 
     Args:
         runs: at least one; differences are relative to the first.
         tables: of metrics, loops, and what else there is.
-        plots: further plots, before those of the signals; their keys mustn't start with ``compared``.
+        plots: those of `signal_plots`, and others.
     """
     verdict = [*_ranks(runs), f"{len(runs)} runs, each in its colour; differences are relative to {runs[0].name}."]
     title = " · ".join(run.name for run in runs)
     shown = next((run.run for run in runs if run.run is not None), None)
     frame = {} if shown is None else of_scene(shown.scene, shown)
-    return Page(title, verdict, [*plots, *signal_plots(runs)], tables, first_tiles(runs), **frame)
+    return Page(title, verdict, plots, tables, first_tiles(runs), **frame)
 
 
 def first_tiles(runs: Sequence[ComparedRun]) -> list[tuple[str, Sequence[str]]]:

@@ -1,9 +1,11 @@
-"""Style of figures in files; no windows, no global state."""
+"""Figures in files and notebooks: the plots of pages as Matplotlib draws them, in one style; no windows, no global state."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +16,21 @@ from matplotlib.ticker import LogFormatter
 
 from flexfmu.cosim.engine.drawing import NotebookFigure
 from flexfmu.cosim.engine.files import replacing
+from flexfmu.cosim.reports import chart
+from flexfmu.cosim.reports.page import Plot
 
 INK, GREY, PALE = "#22303c", "#7b8794", "#e6eaee"
 """Colours of text and mechanism, of secondary lines, and of fills."""
+
+_LIGHT = files("flexfmu.cosim.reports").joinpath("templates/page.css").read_text(encoding="utf-8").partition("}")[0]
+COLOURS = {f"var({name})": colour for name, colour in re.findall(r"(--\w+): (#\w+)", _LIGHT)}
+"""Variable of a page → its colour on white."""
+
+WIDTH, HEADING, TITLE, LETTERS = 460.0, 58.0, 26.0, 92
+"""Width of a plot, height of what stands above and below its panels and of a figure's title [pt], and letters across a plot's legend."""
+
+DASHES = (0.0, (4.0, 3.0))
+"""Of levels and marks."""
 
 _RC: Mapping[str, Any] = {
     "axes.spines.top": False,
@@ -69,6 +83,84 @@ def save(drawing: Callable[[], Figure], stem: Path) -> None:
             figure.savefig(path, format="png", dpi=150, metadata={"Software": None})
         with replacing(stem.with_suffix(".svg")) as path:
             figure.savefig(path, format="svg", metadata={"Date": None})
+
+
+def figure_of(plots: Iterable[Plot], title: str = "", columns: int = 1) -> Figure:
+    """Return plots as one figure, the panels of each below each other, with their common legend above.
+
+    Args:
+        plots: at least one.
+        title: of the figure; empty for none.
+        columns: number of plots beside each other.
+    """
+    shown = [*plots]
+    rows = [shown[k : k + columns] for k in range(0, len(shown), columns)]
+    heights = [max(max(each.height, 80.0 * len(each.panels)) for each in row) + HEADING for row in rows]
+    with style():
+        figure = draw(min(columns, len(shown)) * WIDTH / 72.0, (sum(heights) + TITLE * bool(title)) / 72.0)
+        figure.suptitle(title, fontsize=10)
+        grid = figure.add_gridspec(len(rows), len(rows[0]), height_ratios=heights)
+        for number, plot in enumerate(shown):
+            cells, labelled = grid[divmod(number, columns)].subgridspec(len(plot.panels), 1), dict[str, Any]()
+            panels = [figure.add_subplot(cells[0, 0])]
+            panels += [figure.add_subplot(cells[k, 0], sharex=panels[0]) for k in range(1, len(plot.panels))]
+            for axes, panel in zip(panels, plot.panels, strict=True):
+                draw_panel(axes, panel, plot.x_label if axes is panels[-1] else "")
+                axes.tick_params(labelbottom=axes is panels[-1])
+                for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+                    labelled.setdefault(label, handle)
+            # the legend stands above, where no curve is, with the title
+            if labelled:
+                panels[0].legend(
+                    labelled.values(), labelled.keys(), title=plot.title, title_fontproperties={"weight": "bold", "size": 10},
+                    alignment="left", loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, borderpad=0.0, fontsize=8,
+                    ncols=max(1, LETTERS // (8 + max(map(len, labelled)))),
+                )  # fmt: skip
+            else:
+                panels[0].set_title(plot.title)
+    return figure
+
+
+def draw_panel(axes: Axes, panel: chart.Panel, x_label: str = "") -> None:
+    """Draw a panel of a page on axes."""
+    for curve in (each for each in panel.curves if each.x.size):
+        colour = COLOURS.get(curve.colour, curve.colour)
+        dashes = (0.0, [float(each) for each in curve.dashes.split(",")]) if curve.dashes else "-"
+        sign, size = {"": ("", 0.0), "disc": ("o", 4.5), "cross": ("x", 6.0)}[curve.dot]
+        axes.plot(
+            curve.x, curve.y, color=colour, linewidth=curve.width, linestyle=dashes if curve.width else "none",
+            alpha=curve.opacity, marker=sign, markersize=size, label=curve.label or None,
+        )  # fmt: skip
+        if curve.fill:
+            axes.fill(curve.x, curve.y, color=colour, alpha=curve.fill, linewidth=0.0)
+    # levels and marks with their texts at the top, in turn lower
+    if panel.level is not None:
+        axes.axhline(panel.level, color=GREY, linewidth=1.0, linestyle=DASHES)
+    small: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8}
+    for number, (x, text) in enumerate(panel.marks):
+        axes.axvline(x, color=GREY, linewidth=1.0, linestyle=DASHES)
+        below = (3.0, -3.0 - 10.0 * (number % 2))
+        axes.annotate(text, (x, 1.0), below, xycoords=("data", "axes fraction"), va="top", color=GREY, **small)
+    for each in panel.markers:
+        colour, sign = COLOURS.get(each.colour, each.colour), {"disc": "o", "square": "s"}[each.shape]
+        if each.size:
+            axes.plot(each.x, each.y, sign, markersize=0.8 * each.size, color=colour, alpha=each.opacity, mew=0.0)
+        across = {"start": "left", "middle": "center"}[each.anchor]
+        axes.annotate(each.text, (each.x, each.y), (each.offset[0], -each.offset[1]), ha=across, **small)
+    # axes
+    axes.margins(x=0.01 if panel.is_function else 0.05)
+    for name, axis in zip("xy", (axes.xaxis, axes.yaxis), strict=True):
+        if name in panel.logarithmic:
+            axes.set(**{f"{name}scale": "log"})
+            axis.set_major_formatter(PlainNumbers())
+            axis.set_minor_formatter(PlainNumbers())
+    if panel.limits is not None:
+        axes.set_xlim(panel.limits)
+    if panel.from_zero or panel.least is not None:
+        axes.set_ylim(bottom=0.0 if panel.least is None else max(panel.least, axes.get_ylim()[0]))
+    if panel.is_to_scale:
+        axes.set_aspect("equal", adjustable="datalim")
+    axes.set(xlabel=x_label, ylabel=panel.label)
 
 
 def mark_end(axes: Axes, duration: float, text: str = "end of motion") -> None:

@@ -13,6 +13,8 @@ from rich.text import Text
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import Rows, few_lines
 from flexfmu.cosim.experiment.planning import MotionPlan
+from flexfmu.cosim.reports.chart import PALETTE, Curve, Panel, scale_of
+from flexfmu.cosim.reports.page import Plot
 from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.trajectories.jets import Jet
@@ -80,27 +82,18 @@ class ModesAlongPath(Rows, list[ModalPose]):
 
     def plot(self) -> Figure:
         """The lowest frequencies over the path."""
-        from flexfmu.cosim.reports.figure_style import draw, logarithmic, style  # slower to load than the frequencies
+        from flexfmu.cosim.reports.figure_style import figure_of  # slower to load than the frequencies
 
-        with style():
-            figure = draw(7.0, 4.0)
-            axes = figure.add_subplot()
-            shown = np.array([pose.frequencies[:SHOWN_FREQUENCIES] for pose in self], ndmin=2)
-            for k, frequency in enumerate(shown.T, start=1):
-                axes.plot([pose.s for pose in self], frequency, "o-", markersize=3, label=f"f{k}")
-            axes.set(xlabel="share of the path", ylabel="natural frequency [Hz]")
-            if shown.size and shown.max() > 10.0 * shown.min() > 0.0:
-                logarithmic(axes)
-            else:
-                axes.set_ylim(0.0, None)
-            if axes.lines:
-                axes.legend(
-                    *(each[::-1] for each in axes.get_legend_handles_labels()),
-                    loc="upper left",
-                    bbox_to_anchor=(1.0, 1.0),
-                )
-            figure.suptitle(f"{self.name}: natural frequencies, motors locked", fontsize=10)
-        return figure
+        path = np.array([pose.s for pose in self])
+        shown = np.array([pose.frequencies[:SHOWN_FREQUENCIES] for pose in self], ndmin=2)
+        curves = [
+            Curve(path, each, f"f{k}", colour, dot="disc")
+            for k, (each, colour) in enumerate(zip(shown.T, PALETTE, strict=False), start=1)
+        ]
+        scale = scale_of(shown)
+        panel = Panel("natural frequency [Hz]", curves, from_zero=not scale, logarithmic=scale)
+        title = f"{self.name}: natural frequencies, motors locked"
+        return figure_of([Plot("modes", title, "", (panel,), "share of the path")])
 
 
 UNITS = {"s": "", "x": "m", "y": "m", "q11": "rad", "q21": "rad"}

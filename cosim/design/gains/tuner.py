@@ -30,7 +30,7 @@ from flexfmu.cosim.many.executor import mapping
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS, definition, metric
-from flexfmu.cosim.reports.chart import INK, PALETTE, Curve, Panel
+from flexfmu.cosim.reports.chart import INK, PALETTE, Curve, Panel, scale_of
 from flexfmu.cosim.reports.page import TILES, Page, Plot, Table
 from flexfmu.cosim.reports.report import of_scene
 from flexfmu.model.one_thread import one_blas_thread
@@ -115,28 +115,34 @@ class TuneResult(Rows):
         return {part: goal.unit for goal in self.study.goals for part in goal.parts if goal.unit}
 
     def plot(self) -> Figure:
-        """The figure that is minimised, of each trial and the best so far; trials that miss a limit are hollow."""
-        from flexfmu.cosim.reports.figure_style import GREY, INK, draw, logarithmic, style
+        """The figure that is minimised, of each trial, and the best so far."""
+        from flexfmu.cosim.reports.figure_style import figure_of
 
-        goal = self.study.minimise
-        values = np.array([nan if (found := goal.of(each.figures)) is None else found for each in self.trials])
+        return figure_of([self._plot()], f"{self.study.scene.name}: {len(self.trials)} trials")
+
+    def _plot(self) -> Plot:
+        goal, curves = self.study.minimise, list[Curve]()
+        info = definition(goal.parts[0])
+        found = [goal.of(each.figures) for each in self.trials]
+        values = np.array([nan if each is None else info.displayed(each) for each in found])
         kept = np.array([self.study.rank(each)[0] == 0 for each in self.trials])
-        number = np.arange(len(values))
-        with style():
-            figure = draw(7.0, 3.6)
-            axes = figure.add_subplot()
-            for some, label, face in ((kept, "keeps all limits", INK), (~kept, "misses a limit", "none")):
-                axes.plot(number[some], values[some], "o", color=INK, markersize=3.5, markerfacecolor=face, label=label)
-            best = np.fmin.accumulate(np.where(kept, values, np.nan))
-            axes.step(number, best, where="post", color="#c7394f", label="best so far")
-            axes.axhline(values[0], color=GREY, linewidth=1.0, linestyle="--", label="given")
-            positive = values[np.isfinite(values)]
-            if positive.size and positive.min() > 0.0 and positive.max() > 20.0 * positive.min():
-                logarithmic(axes)
-            axes.set(xlabel="trial", ylabel=f"{goal.name} [{shown_unit(goal.unit)}]" if goal.unit else goal.name)
-            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
-            figure.suptitle(f"{self.study.scene.name}: {len(self.trials)} trials", fontsize=10)
-        return figure
+        texts = [
+            ", ".join(f"{key.key}={value:.5g}" for key, value in zip(self.study.over, each.values, strict=False))
+            for each in self.trials
+        ]
+        for some, name, colour in ((kept, "keeps all limits", PALETTE[0]), (~kept, "misses a limit", INK)):
+            places = np.flatnonzero(some & np.isfinite(values))
+            notes = [texts[place] or "given" for place in places]
+            curves.append(Curve(places.astype(np.float64), values[places], name, colour, 0.0, dot="disc", notes=notes))
+        # steps from trial to trial
+        best, number = np.fmin.accumulate(np.where(kept, values, np.nan)), np.arange(1.0 * len(values))
+        steps = np.repeat(number, 2)[1:], np.repeat(best, 2)[:-1]
+        curves.append(Curve(*steps, "best so far", PALETTE[1], is_read=False))
+        label = f"{goal.label}\n[{info.display_unit}]"
+        curves = [each for each in curves if each.x.size]
+        panel = Panel(label, curves, level=float(values[0]), logarithmic=scale_of(values), is_function=False)
+        caption = "The figure that is minimised. Dashed: the given values."
+        return Plot("trials", "Trials", caption, (panel,), "trial", 300.0)
 
     def tables(self) -> list[Table]:
         """The keys, given and tuned; the figure that is minimised and those with limits."""
@@ -164,29 +170,7 @@ class TuneResult(Rows):
 
     def page(self) -> str:
         """The page: what the tuning gained, values and limits, and the figure of each trial, as HTML."""
-        goal, (keys, figures), curves = self.study.minimise, self.tables(), list[Curve]()
-        info = definition(goal.parts[0])
-        found = [goal.of(each.figures) for each in self.trials]
-        values = np.array([nan if each is None else info.displayed(each) for each in found])
-        kept = np.array([self.study.rank(each)[0] == 0 for each in self.trials])
-        texts = [
-            ", ".join(f"{key.key}={value:.5g}" for key, value in zip(self.study.over, each.values, strict=False))
-            for each in self.trials
-        ]
-        for some, name, colour in ((kept, "keeps all limits", PALETTE[0]), (~kept, "misses a limit", INK)):
-            places = np.flatnonzero(some & np.isfinite(values))
-            notes = [texts[place] or "given" for place in places]
-            curves.append(Curve(places.astype(np.float64), values[places], name, colour, 0.0, dot="disc", notes=notes))
-        # steps from trial to trial
-        best, number = np.fmin.accumulate(np.where(kept, values, np.nan)), np.arange(1.0 * len(values))
-        steps = np.repeat(number, 2)[1:], np.repeat(best, 2)[:-1]
-        curves.append(Curve(*steps, "best so far", PALETTE[1], is_read=False))
-        label = f"{goal.label}\n[{info.display_unit}]"
-        panel = Panel(
-            label=label, curves=[each for each in curves if each.x.size], level=float(values[0]), is_function=False
-        )
-        caption = "The figure that is minimised. Dashed: the given values."
-        plot = Plot("trials", "Trials", caption, (panel,), "trial", 300.0)
+        goal, (keys, figures) = self.study.minimise, self.tables()
         verdict = (
             f"{goal.label} {goal.shown(goal.of(self.best.figures))}, given {goal.shown(goal.of(self.given.figures))}"
         )
@@ -198,7 +182,7 @@ class TuneResult(Rows):
         ]
         tiles += [(row[0], [f"{row[1]} → {row[2]}"]) for row in keys.rows][: TILES - len(tiles)]
         frame = of_scene(self.scene)
-        return Page(f"{self.study.scene.name}, tuned", verdict, [plot], [keys, figures], tiles, **frame).html
+        return Page(f"{self.study.scene.name}, tuned", verdict, [self._plot()], [keys, figures], tiles, **frame).html
 
     def __repr__(self) -> str:
         """Return at most five lines."""

@@ -21,7 +21,8 @@ from flexfmu.cosim.engine.showing import Rows, ShowProgress, few_lines
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.cosim.reports.page import Table
+from flexfmu.cosim.reports.chart import FIRST, INK, SECOND, Curve, Panel
+from flexfmu.cosim.reports.page import Plot, Table
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.motion import TrajectorySection
@@ -144,20 +145,16 @@ class ProposedMotions(Rows):
 
     def plot(self) -> Figure:
         """Criterion over the largest torque of all motions."""
-        from flexfmu.cosim.reports.figure_style import draw, style
+        from flexfmu.cosim.reports.figure_style import figure_of
 
-        with style():
-            figure = draw(5.0, 3.2)
-            axes = figure.subplots()
-            for is_allowed, label in ((True, "within the limits"), (False, "beyond")):
-                chosen = [each for each in self.motions if each.is_allowed is is_allowed]
-                axes.plot(
-                    [each.torque for each in chosen], [each.figure for each in chosen], "o", markersize=3, label=label
-                )
-            axes.plot([self.own.torque], [self.own.figure], "s", color="black", label="own motion")
-            axes.set(xlabel="largest torque [N·m]", ylabel="criterion", yscale="log")
-            axes.legend(fontsize=8)
-        return figure
+        allowed, beyond = ([each for each in self.motions if each.is_allowed is wanted] for wanted in (True, False))
+        groups = (allowed, "within the limits", FIRST), (beyond, "beyond", SECOND), ([self.own], "own motion", INK)
+        curves = list[Curve]()
+        for some, label, colour in groups:
+            torque, criterion = (np.array([getattr(each, name) for each in some]) for name in ("torque", "figure"))
+            curves.append(Curve(torque, criterion, label, colour, 0.0, dot="disc"))
+        panel = Panel("criterion", curves, logarithmic="y", is_function=False)
+        return figure_of([Plot("proposed", f"Motions of {self.scene.name}", "", (panel,), "largest torque [N·m]")])
 
 
 @one_blas_thread()

@@ -410,19 +410,7 @@ class Identification(Rows):
 
     def page(self) -> str:
         """The page: tables, measured and simulated signals, residuals and their spectra, as HTML."""
-        plots, caption = list[Plot](), "Measured, and simulated with the first and the identified parameters."
-        for number, each in enumerate(self.signals):
-            simulated = (each.before, "before", PALETTE[1]), (each.after, "after", PALETTE[0])
-            lines = [(each.time, each.measured, "measured", INK), *((each.time, *line) for line in simulated)]
-            left = [(each.time, each.measured - y, label, colour) for y, label, colour in simulated]
-            title, unit = f"{each.name} of {each.log}", shown_unit(each.unit)
-            groups = {each.name: lines, "residual": left}
-            plots.append(fitted_plot(f"signal-{number}", title, caption, unit, groups, x_label=each.axis))
-            if each.axis.startswith("time") and (spectra := spectra_of(left)):
-                panel, title = spectrum_panel(f"residual\n[{unit}]", spectra), f"Spectrum of {title}"
-                text = spectrum_caption("Residuals")
-                plots.append(Plot(f"spectrum-{number}", title, text, (panel,), "frequency [Hz]"))
-        return Page(f"{self.name}, identified", " ".join(self.messages), plots, [*self.tables()]).html
+        return Page(f"{self.name}, identified", " ".join(self.messages), [*self.plots()], [*self.tables()]).html
 
     def write(self, folder: str | os.PathLike[str]) -> Path:
         """Write identified.html, identified.json, and draws.csv for `flexfmu sweep --cases`, into a folder; return its path.
@@ -439,23 +427,24 @@ class Identification(Rows):
 
     def plot(self) -> Figure:
         """Measured and simulated signals over each other, and what is left."""
-        from flexfmu.cosim.reports.figure_style import draw, style
+        from flexfmu.cosim.reports.figure_style import figure_of
 
-        with style():
-            figure = draw(8.0, 0.6 + 1.6 * len(self.signals))
-            panels = figure.subplots(len(self.signals), 2, squeeze=False)
-            for (axes, other), each in zip(panels, self.signals, strict=True):
-                axes.plot(each.time, each.measured, color="black", linewidth=0.8, label="measured")
-                axes.plot(each.time, each.before, linewidth=1.0, label="before")
-                axes.plot(each.time, each.after, linewidth=1.0, label="after")
-                other.plot(each.time, each.measured - each.before, linewidth=0.8)
-                other.plot(each.time, each.measured - each.after, linewidth=0.8)
-                axes.set_title(f"{each.name} of {each.log} [{shown_unit(each.unit)}]", fontsize=8.5)
-                other.set_title("measured minus simulated", fontsize=8.5)
-                for part in (axes, other):
-                    part.set_xlabel(each.axis)
-            panels[0, 0].legend(fontsize=8)
-        return figure
+        return figure_of(self.plots(), columns=2)
+
+    def plots(self) -> Iterator[Plot]:
+        """Yield measured and simulated signals with what is left, and its spectrum."""
+        caption = "Measured, and simulated with the first and the identified parameters."
+        for number, each in enumerate(self.signals):
+            simulated = (each.before, "before", PALETTE[1]), (each.after, "after", PALETTE[0])
+            lines = [(each.time, each.measured, "measured", INK), *((each.time, *line) for line in simulated)]
+            left = [(each.time, each.measured - y, label, colour) for y, label, colour in simulated]
+            title, unit = f"{each.name} of {each.log}", shown_unit(each.unit)
+            groups = {each.name: lines, "residual": left}
+            yield fitted_plot(f"signal-{number}", title, caption, unit, groups, x_label=each.axis)
+            if each.axis.startswith("time") and (spectra := spectra_of(left)):
+                panel, title = spectrum_panel(f"residual\n[{unit}]", spectra), f"Spectrum of {title}"
+                text = spectrum_caption("Residuals")
+                yield Plot(f"spectrum-{number}", title, text, (panel,), "frequency [Hz]")
 
 
 Line = tuple[RealArray, RealArray, str, str]

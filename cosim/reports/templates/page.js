@@ -134,6 +134,11 @@ const page = (() => {
         text(label, at(x, "x") + 4 * ratio, bbox.top + (12 + 13 * (i % 2)) * ratio, "left", "var(--grey)");
       });
       if (this.level !== null) line([[bbox.left, at(this.level, "y")], [bbox.left + bbox.width, at(this.level, "y")]], "var(--grey)", 1, [5, 4]);
+      for (const c of this.lines) if (c.fill && !c.off) {
+        ctx.globalAlpha = c.fill; ctx.fillStyle = colour(c.colour); ctx.beginPath();
+        for (let i = 0; i < c.x.length; i++) ctx.lineTo(at(c.x[i], "x"), at(c.y[i], "y"));
+        ctx.fill(); ctx.globalAlpha = 1;
+      }
       for (const c of this.lines) for (let i = 0; c.dot && !c.off && i < c.x.length; i++) {
         const x = at(c.x[i], "x"), y = at(c.y[i], "y");
         if (!isFinite(x) || !isFinite(y)) continue;

@@ -26,13 +26,19 @@ from flexfmu.cosim.engine.measured import (
     estimate_delay,
     read_log,
 )
-from flexfmu.cosim.engine.results import USUAL, Recording
+from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import Rows, few_lines, html_table, shown_unit
-from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition
 from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE
-from flexfmu.cosim.reports.comparison import BAND_METRICS, ComparedRun, comparison_page, loop_tables, metrics_table
+from flexfmu.cosim.reports.comparison import (
+    BAND_METRICS,
+    ComparedRun,
+    comparison_page,
+    loop_tables,
+    metrics_table,
+    signal_plots,
+)
 from flexfmu.cosim.reports.page import Plot, Table
 from flexfmu.cosim.reports.spectrum import spectrum_caption, spectrum_panel
 
@@ -157,8 +163,7 @@ class Comparison(Rows):
             live: whether the page simulates the runs side by side, with common sliders; it needs ziglang. Results that were read stay as
                 recorded.
         """
-        measured = [] if self.measured is None else [*_measured_plots(self.runs, self.measured)]
-        page = comparison_page(self.runs, self.tables(), measured)
+        page = comparison_page(self.runs, self.tables(), self.plots())
         if live:
             from flexfmu.cosim.exchange.live import side_by_side  # which few comparisons need
 
@@ -204,28 +209,15 @@ class Comparison(Rows):
         return "".join(html_table(table.header, table.rows) for table in self.tables())
 
     def plot(self) -> Figure:
-        """Torques, end-effector positions and tip deflections of all runs over each other, and of the measurement."""
-        from flexfmu.cosim.reports.figure_style import draw, style
+        """Signals of all runs over each other, and beside those of the measurement, as on the page."""
+        from flexfmu.cosim.reports.figure_style import figure_of
 
-        shown: list[tuple[str, RealArray, Recording, dict[str, Any]]] = [
-            (run.name, run.recording.time, run.recording, {"linewidth": 1.2}) for run in self.runs
-        ]
-        names = [name for name in USUAL if any(name in run.recording.columns for run in self.runs)]
-        if self.measured is not None:
-            time = self.measured.recording.time - self.measured.delay.seconds
-            shown.append((self.measured.name, time, self.measured.recording, {"linewidth": 0.8, "color": "black"}))
-        with style():
-            figure = draw(8.0, 0.8 + 1.5 * max(len(names), 1))
-            panels = figure.subplots(max(len(names), 1), 1, sharex=True, squeeze=False)[:, 0]
-            for axes, name in zip(panels, names, strict=False):
-                there = [each for each in shown if name in each[2].columns]
-                for label, time, recording, look in there:
-                    axes.plot(time, recording[name].values, label=label, **look)
-                axes.set_title(f"{name} [{shown_unit(there[0][2][name].unit)}]", fontsize=8.5)
-            panels[-1].set_xlabel("time [s]")
-            if panels[0].lines:
-                panels[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
-        return figure
+        return figure_of(self.plots(), columns=2)
+
+    def plots(self) -> list[Plot]:
+        """The plots of the page: signals of a measurement beside the simulated ones, then those of all runs and their spectra."""
+        measured = [] if self.measured is None else _measured_plots(self.runs, self.measured)
+        return [*measured, *signal_plots(self.runs)]
 
 
 def compare_runs(

@@ -16,8 +16,9 @@ from matplotlib.figure import Figure
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.reports import chart
-from flexfmu.cosim.reports.figure_style import save
+from flexfmu.cosim.reports.figure_style import COLOURS, figure_of, save
 from flexfmu.cosim.reports.modes_table import modes_along_path
+from flexfmu.cosim.reports.page import Plot
 from flexfmu.cosim.reports.spectrum import peak, spectrum, spectrum_panel
 from flexfmu.model.scene.file import load_scene
 
@@ -50,6 +51,30 @@ def test_a_constant_has_a_picture(value: float) -> None:
         (panel,) = json.loads(text[text.index("{") : text.rindex("}") + 1])["panels"]
         for given, curve in zip(panel["curves"], curves, strict=True):
             np.testing.assert_allclose(chart.unpacked(given["xy"], 2), [curve.x, curve.y], rtol=1e-7)
+
+
+def test_a_figure_shows_what_the_page_shows() -> None:
+    """Curves in the page's colours, legends, levels, marks, texts and scales, plots beside each other with their panels below each other."""
+    x = np.linspace(1.0, 2.0, 5)
+    curves = [chart.Curve(x, x, "a", chart.SECOND), chart.Curve(x, -x, "b", "#102030", 0.0, dot="cross")]
+    area = chart.Curve(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 2.0]), fill=0.2)
+    above = chart.Panel("u [m]", curves, level=0.5, marks=[(1.5, "end")], limits=(1.0, 1.8))
+    below = chart.Panel("v", curves[:1], [chart.Marker(1.2, 1.3, 5.0, text="here")], logarithmic="y", least=0.5)
+    plots = [
+        Plot("p", "One", "", (above, below)),
+        Plot("q", "Two", "", (chart.Panel("y", [area], is_to_scale=True),), "x"),
+    ]
+    one, two, three = figure_of(plots, "Both", 2).axes
+    assert [one.lines[0].get_color(), one.lines[1].get_color()] == [COLOURS[chart.SECOND], "#102030"]
+    assert [one.lines[1].get_marker(), one.lines[1].get_linestyle()] == ["x", "None"]
+    assert (one.get_xlim(), two.get_xlim(), one.get_ylabel()) == ((1.0, 1.8), (1.0, 1.8), "u [m]")
+    assert (one.get_xlabel(), two.get_xlabel(), three.get_xlabel()) == ("", "time [s]", "x")
+    assert [[text.get_text() for text in axes.texts] for axes in (one, two)] == [["end"], ["here"]]
+    assert (two.get_yscale(), two.get_ylim()[0] >= 0.5) == ("log", True)
+    legend = one.get_legend()
+    assert legend is not None
+    assert [legend.get_title().get_text(), *(text.get_text() for text in legend.get_texts())] == ["One", "a", "b"]
+    assert (three.get_title("left"), len(three.patches), three.get_aspect()) == ("Two", 1, 1.0)
 
 
 @pytest.mark.parametrize("count", [1, 5, chart.MOST_POINTS, chart.MOST_POINTS + 1, 3 * chart.MOST_POINTS + 7, 100_001])

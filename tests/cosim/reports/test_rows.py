@@ -20,7 +20,7 @@ from flexfmu.cosim.engine.showing import SHOWN, Rows
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.reports.chart import unpacked
-from flexfmu.cosim.reports.comparison import ComparedRun, comparison_page, metrics_table
+from flexfmu.cosim.reports.comparison import ComparedRun, comparison_page, metrics_table, signal_plots
 from flexfmu.cosim.reports.figure_style import draw
 from flexfmu.cosim.reports.modes_table import ModalPose, ModesAlongPath
 from flexfmu.cosim.reports.page import Table
@@ -150,7 +150,9 @@ def test_metrics_stand_beside_each_other_with_differences() -> None:
 def test_curves_are_the_recordings() -> None:
     """The values that the page shows are recorded ones, to the 24 bits that it keeps."""
     runs = [compared("slow", 1.0), compared("<fast>", 1.25)]
-    text = comparison_page(runs, [metrics_table(runs), Table("More", ["", "a"], [["b", "7 %"]])]).html
+    text = comparison_page(
+        runs, [metrics_table(runs), Table("More", ["", "a"], [["b", "7 %"]])], [*signal_plots(runs)]
+    ).html
     first = re.search(r'<script type="application/json">(.*?)</script>', text)
     assert first is not None
     found = {each["label"]: each["xy"] for each in json.loads(first[1])["panels"][0]["curves"]}
