@@ -221,7 +221,9 @@ def render(template: str, **values: Any) -> str:
     parts: Mapping[str, str] = {
         "style": _text("uPlot.min.css", "uplot") + _text("page.css"),
         "script": library + _text("page.js"),
-        "simulation": _text("simulation.js") + _text("live.js"),
+        "simulation": _text("fmu.js", package="flexfmu.fmu_build").replace("export ", "")
+        + _text("simulation.js")
+        + _text("live.js"),
     }
     return _environment().get_template(template).render(**parts, **values)
 
@@ -234,5 +236,5 @@ def _environment() -> Environment:
 
 
 @cache
-def _text(name: str, folder: str = "templates") -> str:
-    return files("flexfmu.cosim.reports").joinpath(folder, name).read_text(encoding="utf-8")
+def _text(name: str, folder: str = "templates", package: str = "flexfmu.cosim.reports") -> str:
+    return files(package).joinpath(folder, name).read_text(encoding="utf-8")

@@ -46,8 +46,8 @@ export class Fmu {
 export class Instance {
   constructor(fmu, name) {
     const { exports, model } = fmu;
-    this.fmu = fmu;
-    this.component = exports.fmi2Instantiate(fmu.text(name), 1, fmu.text(model.guid), 0, exports.wasm_callbacks(), 0, 0);
+    Object.assign(this, { fmu, groups: new Set(), texts: [name, model.guid].map((each) => fmu.text(each)) });
+    this.component = exports.fmi2Instantiate(this.texts[0], 1, this.texts[1], 0, exports.wasm_callbacks(), 0, 0);
     if (!this.component) throw new Error(fmu.message);
   }
 
@@ -63,15 +63,18 @@ export class Instance {
       const group = this.group([name]);
       group.values[0] = value;
       group.write();
+      group.free();
     }
     return this;
   }
 
   get(name) {
-    return this.group([name]).read()[0];
+    const group = this.group([name]), [value] = group.read();
+    group.free();
+    return value;
   }
 
-  /** Variables of one type that are often read or written together; a group belongs to its instance, and its memory is kept. */
+  /** Variables of one type that are often read or written together; a group belongs to its instance, and is freed with it. */
   group(names, order = 0) {
     return new Group(this, names, order);
   }
@@ -89,9 +92,13 @@ export class Instance {
     this.call("DoStep", time, step, 1);
   }
 
+  /** Gives the memory back; nothing can be called then. */
   free() {
+    if (!this.component) return;
     this.fmu.exports.fmi2FreeInstance(this.component);
     this.component = 0;
+    this.groups.forEach((each) => each.free());
+    this.texts.forEach((each) => this.fmu.exports.free(each));
   }
 }
 
@@ -103,11 +110,17 @@ class Group {
     if (missing !== undefined) throw new Error(`there is no variable '${missing}'`);
     this.type = known[0]?.type ?? "Real";
     if (known.some(({ type }) => type !== this.type)) throw new Error(`${names.join(", ")} are of several types`);
-    const count = names.length;
-    Object.assign(this, { instance, order, count, references: fmu.allocate(4 * count), orders: fmu.allocate(4 * count) });
-    this.address = fmu.allocate(8 * count);
-    new Uint32Array(fmu.exports.memory.buffer, this.references, count).set(known.map(({ reference }) => reference));
-    new Int32Array(fmu.exports.memory.buffer, this.orders, count).fill(order);
+    // values, references and orders behind each other
+    const count = names.length, address = fmu.allocate(16 * count), references = address + 8 * count, orders = references + 4 * count;
+    Object.assign(this, { instance, order, count, address, references, orders });
+    new Uint32Array(fmu.exports.memory.buffer, references, count).set(known.map(({ reference }) => reference));
+    new Int32Array(fmu.exports.memory.buffer, orders, count).fill(order);
+    instance.groups.add(this);
+  }
+
+  /** Gives the memory back. */
+  free() {
+    if (this.instance.groups.delete(this)) this.instance.fmu.exports.free(this.address);
   }
 
   /** The numbers in the module's memory; get it anew after other calls, since memory grows. */

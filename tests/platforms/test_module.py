@@ -39,6 +39,15 @@ fed.forEach((rows, n) => {
 let refused = "";
 try { run.set({ nothing: 1 }); } catch (error) { refused = error.message; }
 run.free();
+// what is freed is used again
+const own = await load(), pages = [];
+for (let n = 0; n < 20000; n++) {
+  const one = own.instantiate().set({ "payload.mass": 2 });
+  one.group(outputs);
+  one.free();
+  pages.push(own.exports.memory.buffer.byteLength);
+}
+if (pages.at(-1) !== pages[1000]) throw new Error(`memory grows from ${pages[1000]} to ${pages.at(-1)} bytes`);
 let freed = "";
 try { run.step(0, 1e-3); } catch (error) { freed = error.message; }
 // a response that is awaited inside

@@ -48,7 +48,11 @@ const page = (() => {
       const isLog = this.log[axis];
       let low = Infinity, high = -Infinity;
       const take = (v) => { if (isFinite(v) && (!isLog || v > 0)) { low = Math.min(low, v); high = Math.max(high, v); } };
-      for (const c of this.curves) if (!c.off) for (let i = 0; i < c.x.length; i++) if (!between || (c.x[i] >= between[0] && c.x[i] <= between[1])) take(c[axis][i]);
+      for (const c of this.curves) if (!c.off) for (let i = 0; i < c.x.length; i++) {
+        if (!between || (c.x[i] >= between[0] && c.x[i] <= between[1])) take(c[axis][i]);
+        // where a line crosses an end
+        for (const end of between ?? []) if ((c.x[i] - end) * (c.x[i + 1] - end) < 0) take(c[axis][i] + (end - c.x[i]) / (c.x[i + 1] - c.x[i]) * (c[axis][i + 1] - c[axis][i]));
+      }
       if (this.motion) this.motion.extent(axis).forEach(take);
       if (axis === "x" && this.xLimits) return this.xLimits;
       if (axis === "y" && this.level !== null && !between) take(this.level);
@@ -71,14 +75,17 @@ const page = (() => {
         return splits.map((v) => (v === null || !isShown(v) ? "" : short(v, 5)));
       };
       y.values = ticks("y", (toScale ? 200 : this.height) / 20);
+      // as wide as its numbers, which have more digits after a zoom
+      if (!toScale) y.size = (_, texts) => Math.max(58, 28 + 6.8 * Math.max(...(texts ?? []).map((each) => each.length)));
       if (this.isLast) x.values = ticks("x", (width - 86) / 50);
       this.whole = { x: chart.limits, y: this.limits("y") };
-      const height = toScale ? this.scaled(width) : this.height;
+      // panels are equally high, and the last one has the axis below
+      const height = toScale ? this.scaled(width) : this.height + (this.isLast && this.number ? 40 : 0);
       const scale = (axis) => ({ time: false, auto: false, distr: this.log[axis] ? 3 : 1, range: () => this.shown[axis] });
       this.shown = { ...this.whole };
       this.plot?.destroy();
       this.plot = new uPlot({
-        width, height, padding: [8, 10, 0, 0], legend: { show: false }, scales: { x: scale("x"), y: scale("y") }, axes: [x, y],
+        width, height, padding: [8, 20, 0, 0], legend: { show: false }, scales: { x: scale("x"), y: scale("y") }, axes: [x, y],
         mode: 2, pxAlign: 0, series: [null, ...this.lines.flatMap((c) => [this.series(c), this.series(c, true)])],
         cursor: { y: !this.is_function, points: { show: false }, dataIdx: () => null, drag: { x: true, y: !this.is_function, setScale: false, uni: 10 }, bind: { dblclick: () => () => (chart.reset(), null) } },
         hooks: {
@@ -105,7 +112,7 @@ const page = (() => {
     }
     // the height at which both axes have one scale, and limits that fit it
     scaled(width) {
-      const [x, y] = [this.whole.x, this.whole.y], across = width - 58 - 18 - 10, ratio = (y[1] - y[0]) / (x[1] - x[0]);
+      const [x, y] = [this.whole.x, this.whole.y], across = width - 58 - 18 - 20, ratio = (y[1] - y[0]) / (x[1] - x[0]);
       const high = clamp(across * ratio, 120, 560);
       if (across * ratio > high) { const more = (across * (y[1] - y[0]) / high - (x[1] - x[0])) / 2; this.whole.x = [x[0] - more, x[1] + more]; }
       else if (across * ratio < high) { const more = (high / across * (x[1] - x[0]) - (y[1] - y[0])) / 2; this.whole.y = [y[0] - more, y[1] + more]; }

@@ -48,11 +48,8 @@ class Simulation {
 
   constructor(facts, exports) {
     Object.assign(this, { facts, exports, memory: exports.memory });
-    exports._initialize();
     this.kept = new Map();
-    this.callbacks = exports.wasm_callbacks();
-    this.guid = this.text(facts.model.guid);
-    this.label = this.text("plant");
+    this.fmu = new Fmu(exports, facts.model);
     const { grid } = facts, knots = doubles(grid.knots), knotJets = doubles(grid.knot_jets), axes = knotJets.length / knots.length / 7;
     this.axes = axes;
     // limits of positions, velocities and accelerations, [point][order][kind and axis], and back
@@ -82,16 +79,12 @@ class Simulation {
     return { times, begins, ends, marked: grid.marked, due: grid.due, polynomials: this.polynomials(times, begins, ends, 3 * axes, doubles(grid.scales)) };
   }
 
-  // memory of the module
-  allocate(size) {
-    return this.exports.malloc(size + 8);
-  }
   // memory that is kept under a name from run to run, and grows
   area(name, size) {
     const known = this.kept.get(name);
     if (known && known.size >= size) return known.address;
     if (known) this.exports.free(known.address);
-    const address = this.allocate(1.5 * size);
+    const address = this.fmu.allocate(1.5 * size);
     this.kept.set(name, { address, size: 1.5 * size });
     return address;
   }
@@ -99,12 +92,9 @@ class Simulation {
     return new Type(this.memory.buffer, address, count);
   }
   put(values, name) {
-    const address = name ? this.area(name, values.byteLength) : this.allocate(values.byteLength);
+    const address = name ? this.area(name, values.byteLength) : this.fmu.allocate(values.byteLength);
     this.view(values.constructor, address, values.length).set(values);
     return address;
-  }
-  text(value) {
-    return this.put(new TextEncoder().encode(`${value}\0`));
   }
 
   polynomials(times, begins, ends, variables, scales) {
@@ -170,31 +160,6 @@ class Simulation {
       for (let i = 0; i < row; i++) { begins[n * row + i] *= factors[i]; ends[n * row + i] *= factors[i]; }
     });
     return { times, marked, due: flags, begins, ends, polynomials: this.polynomials(times, begins, ends, variables) };
-  }
-
-  // an instance of the robot with start values by name
-  created(starts) {
-    const { exports, facts } = this, component = exports.fmi2Instantiate(this.label, 1, this.guid, 0, this.callbacks, 0, 0);
-    if (!component) throw new Error(this.message);
-    const reference = this.area("reference", 4), value = this.area("value", 8);
-    for (const [name, number] of Object.entries(starts)) {
-      const variable = facts.model.variables[name], isReal = variable.type === "Real";
-      this.view(Uint32Array, reference, 1)[0] = variable.reference;
-      this.view(isReal ? Float64Array : Int32Array, value, 1)[0] = number;
-      this.checked(exports[`fmi2Set${variable.type}`](component, reference, 1, value));
-    }
-    return component;
-  }
-  checked(status) {
-    if (status > 1) throw new Error(this.message);
-  }
-  get message() {
-    const bytes = new Uint8Array(this.memory.buffer, this.exports.wasm_message(), 1024);
-    return new TextDecoder().decode(bytes.slice(0, bytes.indexOf(0)));
-  }
-  initialized(component) {
-    this.checked(this.exports.fmi2EnterInitializationMode(component));
-    this.checked(this.exports.fmi2ExitInitializationMode(component));
   }
 
   // communication step and tolerance for an accuracy
@@ -269,19 +234,18 @@ class Simulation {
     const go = (lists, points, when) => {
       const [[advance, n], [exchange, m]] = lists;
       this.view(Uint32Array, program, 12).set([base + advance, base + exchange, n, m, channels, facts.channels.length, capacity, ...when, rows, active]);
-      if (exports.master_run(program, points, progress)) throw new Error(this.message || "a signal is not a number");
+      if (exports.master_run(program, points, progress)) throw new Error(this.fmu.message || "a signal is not a number");
     };
     const first = [this.put(Float64Array.of(0, 0), "first"), this.put(Uint8Array.of(1, 1), "jump"), this.put(Uint8Array.of(0, 0), "unrecorded")];
     const recorded = this.put(Uint8Array.of(1, 1), "recorded"), stop = grid.times[count - 1];
-    let component = 0, records = 0;
+    let robot, records = 0;
     const started = performance.now();
     facts.script.forEach((part, i) => {
       const isLast = i === facts.script.length - 1;
       if (part === "create") {
-        component = this.created(starts);
-        words(facts.handle)[0] = component;
-        this.checked(exports.fmi2SetupExperiment(component, 1, tolerance, 0, 1, stop));
-      } else if (part === "initialize") this.initialized(component);
+        robot = this.fmu.instantiate("plant").set(starts);
+        words(facts.handle)[0] = robot.component;
+      } else if (part === "initialize") robot.initialize({ stop, tolerance });
       else {
         this.view(Uint32Array, progress, 4).set([0, records, 0, 0]);
         go([[0, 0], part], 1, isLast ? [first[0], first[1], recorded] : first);
@@ -292,7 +256,7 @@ class Simulation {
     this.view(Uint32Array, progress, 4).set([0, records, 0, 0]);
     try { go([facts.advance, facts.exchange], count - 1, [times, marked, instants]); } catch (error) { failure = error.message; }
     const elapsed = performance.now() - started, size = this.view(Uint32Array, progress, 4)[1];
-    exports.fmi2FreeInstance(component);
+    robot.free();
     const all = this.view(Float64Array, rows, width * capacity).slice();
     const rest = this.restAt(starts);
     return new Result(this, { all, capacity, size, elapsed, failure, stretch, rest, grid });
@@ -300,16 +264,11 @@ class Simulation {
 
   // where the end effector rests at the end of the motion
   restAt(starts) {
-    const { facts, exports } = this;
-    const component = this.created({ ...starts, ...facts.rest, initial: facts.static });
+    const { fmu, facts } = this, robot = fmu.instantiate("plant").set({ ...starts, ...facts.rest, initial: facts.static });
     try {
-      this.checked(exports.fmi2SetupExperiment(component, 0, 0, 0, 1, 1));
-      this.initialized(component);
-      const references = ["x", "y"].map((axis) => facts.model.variables[`end_effector.position.${axis}`].reference);
-      const found = this.area("rest", 16);
-      this.checked(exports.fmi2GetReal(component, this.put(Uint32Array.from(references), "references"), 2, found));
-      return this.view(Float64Array, found, 2).slice();
-    } finally { exports.fmi2FreeInstance(component); }
+      robot.initialize({ stop: 1, tolerance: facts.tolerance });
+      return POSITION.map((name) => robot.get(name));
+    } finally { robot.free(); }
   }
 }
 

@@ -40,8 +40,10 @@ LARGEST_PAGE, LARGEST_PACKED = 1_000_000, 700_000
 
 SCRIPT = """
 const { readFileSync } = await import("node:fs"), vm = await import("node:vm");
-vm.runInThisContext(readFileSync(process.argv[2], "utf8"));
-const { simulations: [simulation] } = await Simulation.load(readFileSync(process.argv[3], "utf8")), asked = JSON.parse(process.argv[4]);
+const [interface_, script, packed, options] = process.argv.slice(2);
+vm.runInThisContext(readFileSync(interface_, "utf8").replaceAll("export ", ""));
+vm.runInThisContext(readFileSync(script, "utf8"));
+const { simulations: [simulation] } = await Simulation.load(readFileSync(packed, "utf8")), asked = JSON.parse(options);
 const bytes = (values) => Buffer.from(Float64Array.from(values).buffer).toString("base64");
 const found = asked.map(({ values, ...options }) => {
   const run = simulation.run(values ? simulation.options(values) : options), signals = {};
@@ -103,8 +105,9 @@ def simulated(run: Run, folder: Path, *asked: dict[str, Any]) -> list[dict[str, 
     assert len(packed) < LARGEST_PACKED
     for name, text in (("run.mjs", SCRIPT), ("packed", packed)):
         (folder / name).write_text(text)
-    simulation = files("flexfmu.cosim.reports") / "templates" / "simulation.js"
-    command = [node, folder / "run.mjs", str(simulation), folder / "packed", json.dumps(asked)]
+    scripts = ("flexfmu.fmu_build", "fmu.js"), ("flexfmu.cosim.reports", "simulation.js")
+    paths = [str(files(package) / "templates" / name) for package, name in scripts]
+    command = [node, folder / "run.mjs", *paths, folder / "packed", json.dumps(asked)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
     found: list[dict[str, Any]] = json.loads(done.stdout)

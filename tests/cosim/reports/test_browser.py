@@ -228,6 +228,19 @@ def test_zooming_and_back(report: Any) -> None:
     assert values_in(figure)
 
 
+def test_a_zoom_between_points_shows_the_line_there(report: Any, run: Run) -> None:
+    """The vertical axis has the values at both ends of an interval shorter than a step."""
+    begin, end = 0.30002, 0.30008
+    shown = "each => each.panels[0].shown.y"
+    report.evaluate(f"page.charts.find(each => each.key === 'torques').zoom([{begin}, {end}])")
+    low, high = report.evaluate(f"({shown})(page.charts.find(each => each.key === 'torques'))")
+    report.evaluate("page.charts.find(each => each.key === 'torques').reset()")
+    torques = [run.recording[f"joint{i}.torque"].values for i in (1, 2)]
+    ends = [float(np.interp(t, run.recording.time, each)) for each in torques for t in (begin, end)]
+    margin = 0.05 * np.ptp(ends)
+    assert (low, high) == pytest.approx((min(ends) - margin, max(ends) + margin), rel=2e-3)
+
+
 def test_the_legend_hides_a_curve(report: Any) -> None:
     """And shows it again."""
     key = chart_of(report, "Tip deflections").get_by_role("button", name="link 2")
