@@ -102,7 +102,7 @@ ALONE = {
     "fmu_build.twins": "pairs of lanes in C",
     "model.finite_elements.motion": "time integration",
     "model.multipliers": "the second form of the equations",
-    "model.reference_design.robust_correction": "correction over a band",
+    "model.reference_design.quadratic_programme": "a solver that knows no robot",
 }
 """Modules with one importer that are an idea of their own, and which."""
 

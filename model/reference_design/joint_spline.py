@@ -149,11 +149,12 @@ class JointSpline:
 
     def derivatives(self, fractions: RealArray) -> RealArray:
         """Return derivatives (N, 6, m) of [q_a, v_a, a_a] at fractions of the duration by the variables."""
-        free = np.eye(len(self.coefficients))[:, REST:-REST]
-        by_time = self.evaluate(fractions) * (-np.arange(3) / self.duration)[:, np.newaxis, np.newaxis]
-        return np.concatenate(
-            [reference_derivatives(self, free, fractions), np.hstack(list(by_time))[..., np.newaxis]], 2
-        )
+        by = np.zeros((len(fractions), 3, 2, len(self.room[0])))
+        for k, values in enumerate(self.evaluate(fractions)):
+            moved = basis(self.degree, self.intervals, fractions, k, self.crowding)[:, REST:-REST] / self.duration**k
+            by[:, k, 0, : moved.shape[1]] = by[:, k, 1, moved.shape[1] : -1] = moved
+            by[:, k, :, -1] = -k / self.duration * values
+        return by.reshape(len(fractions), 6, -1)
 
     def rates(self, fractions: RealArray) -> list[RealArray]:
         """Return the coefficients of speeds, accelerations and jerks (n, 2); the first and last ones are zero."""
@@ -235,21 +236,6 @@ def derivative_matrix(degree: int, intervals: int, order: int, crowding: float =
         TrajectoryError: the order is higher than the degree.
     """
     return np.asarray(_basis_splines(degree, intervals, order, crowding).c[: intervals + degree - order])
-
-
-def reference_derivatives(motion: JointSpline, changes: RealArray, fractions: RealArray) -> RealArray:
-    """Derivatives (N, 6, 2 r) of [q_a, v_a, a_a] at fractions (N,) of T by changes of joint 1, then of joint 2.
-
-    Args:
-        motion: the joints' motion.
-        changes: coefficients (n, r) that a unit of each change adds to those of a joint.
-        fractions: times as fractions of the duration.
-    """
-    by = np.zeros((len(fractions), 3, 2, 2, changes.shape[1]))
-    for k in range(3):
-        moved = basis(motion.degree, motion.intervals, fractions, k, motion.crowding) @ changes / motion.duration**k
-        by[:, k, 0, 0] = by[:, k, 1, 1] = moved
-    return by.reshape(len(fractions), 6, -1)
 
 
 def rest_matrix(count: int) -> RealArray:

@@ -295,8 +295,9 @@ ENOUGH = 1e-3
 """Predicted fall of the merit, relative to the start's cost, below which a motion is the best."""
 
 
-Aim = Literal["time", "torque", "rms_torque", "energy", "residual"]
-"""What is minimised; all but time at a given duration. The aim "residual" is a motion without any at the least RMS torques."""
+Aim = Literal["time", "torque", "rms_torque", "energy", "residual", "limits"]
+"""What is minimised; all but time at a given duration. The aim "residual" is a motion without any at the least RMS torques, "limits" one
+near the first that meets them."""
 
 PEAK = 8
 """Power whose mean stands for a peak."""
@@ -452,7 +453,7 @@ class _WayProgramme:
         self._units = {name: each.reshape(len(each), 1, -1) for name, each in way.limits.loads.items()}
         self.scale, self.metric = start.scale(unit), start.metric(unit)
         self.columns = slice(first, first + len(self.scale))
-        self.effort = None if aim == "time" else _effort(aim, self.state(start, derivatives=False).loads)
+        self.effort = _effort(aim, self.state(start, derivatives=False).loads) if aim in EFFORTS else None
 
     def state(self, motion: DesignedMotion, *, derivatives: bool) -> WayState:
         """Evaluate a motion."""
@@ -552,9 +553,10 @@ class Stage:
             violations[GROUPS.index(name)] = max(0.0, float(share.max()) - 1.0)
         violations[RESIDUAL] = self._residual_violation(amplitudes)
         cost = sum(motion.duration for motion in motions) / self.unit
-        if not self._timed:
-            efforts = zip(ways, (way.effort for way in self.ways), strict=True)
-            cost = float(np.mean([each.loads.integral(*effort).sum() for each, effort in efforts if effort]))
+        if efforts := [
+            each.loads.integral(*way.effort) for way, each in zip(self.ways, ways, strict=True) if way.effort
+        ]:
+            cost = float(np.mean([each.sum() for each in efforts]))
         return State(ways, loads, amplitudes, violations, cost)
 
     def amplitudes(self, states: Sequence[WayState]) -> tuple[RealArray, ...]:

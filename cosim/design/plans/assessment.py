@@ -12,12 +12,10 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.clearance import to_nearest
 from flexfmu.cosim.design.plans.goals import MET, RATES, Goals, Variation, peak_rates
 from flexfmu.cosim.design.plans.sampled_loop import completed, loop_run, tracking_error, with_learned_torques
 from flexfmu.cosim.engine.errors import CosimError, InputError
@@ -285,7 +283,6 @@ class Judge:
     def __init__(self, goals: Goals, payloads: int = JUDGED, journal: WorkJournal = NOWHERE) -> None:
         self.goals, self.variations, self.journal = goals, goals.variations(payloads), journal
         self._payloads = payloads
-        self._tree = cKDTree(goals.trace)
 
     @cached_property
     def given(self) -> Assessment:
@@ -380,7 +377,7 @@ class Judge:
         time, torques = recording.time, [recording[f"joint{joint}.torque"].values for joint in (1, 2)]
         points = np.column_stack([recording[f"end_effector.position.{axis}"].values for axis in "xy"])
         moving, vibrating = time <= end, time >= end + self.goals.wishes.settled_within
-        off = self._off_path(points[moving])
+        off = np.abs(self.goals.path.distance(points[moving])[0])
         depth = -self.goals.clearance.along(points[moving], self.goals.wishes.margin)
 
         def of_joints(name: str) -> RealArray:
@@ -433,13 +430,6 @@ class Judge:
     def _heating(self, figure: str, period: float) -> RealArray:
         """What a mean square over a period [s] counts for the temperature of both motors (2,), see `Motor.heating`."""
         return period * weight_of_squares(figure, period, self.goals.drives)[0]
-
-    def _off_path(self, points: RealArray) -> RealArray:
-        """Distances (N,) [m] of points from the given path."""
-        path, (_, nearest) = self.goals.trace, self._tree.query(points)
-        first = np.clip(np.stack([nearest - 1, nearest], axis=1), 0, len(path) - 2)
-        away, _, _ = to_nearest(points, path[first], path[first + 1] - path[first])
-        return np.asarray(np.hypot(*away.T))
 
     def _uses(self, found: Assessment, given: Assessment) -> Iterator[Limit]:
         """How close the motion comes to each limit, and where."""

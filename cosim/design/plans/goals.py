@@ -143,6 +143,11 @@ class Goals:
         return np.column_stack([np.interp(even, length, points[:, k]) for k in range(2)])
 
     @cached_property
+    def path(self) -> Polygon:
+        """The given motion's way, there and back: distances from its outline are those from the path."""
+        return Polygon.of(np.concatenate([self.trace, self.trace[-2:0:-1]]))
+
+    @cached_property
     def clearance(self) -> Clearance:
         """Where the end effector may go: outside of regions that the scene names, or where its own motion goes."""
         wishes, scene = self.wishes, self.scene

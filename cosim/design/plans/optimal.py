@@ -3,7 +3,8 @@
 Optimal control finds the fastest motion, or that of least effort, whose limits hold for all robots of the bands. They hold in the scene's model and in a fuller one: shear, distal bending and foreshortening lower the lowest frequencies by up to
 2 %, and a motion that leaves no vibration in one model alone leaves up to 10 µm in the other.
 
-On the given path the end effector of the flexible robot makes the given motion. A correction makes these references hold over the bands.
+On the given path the end effector of the flexible robot makes the given motion. The same programmes correct these references until limits hold
+over the bands, near the path.
 """
 
 from __future__ import annotations
@@ -31,11 +32,9 @@ from flexfmu.model.reference_design.elastic_response import LINK_LOADS, SHARED, 
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
 from flexfmu.model.reference_design.joint_spline import REST, DesignedMotion, JointSpline, fitted
 from flexfmu.model.reference_design.loads import OF_CYCLE, ROOTS, Loads, weight_of_squares
-from flexfmu.model.reference_design.robust_correction import Tolerances, corrected
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.motion import TableSection
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.trajectory import Trajectory
 
@@ -81,9 +80,12 @@ LOADS = optimal_control.GROUPS[optimal_control.RESIDUAL + 1 :]
 """Limits of motors, joints and links besides the torque, which the programmes have."""
 
 
-CORRECTED_FOR, USED = 16, 0.99
-"""Payloads of the correction on the given path, of which fewer are overfitted, and share of each limit that is used: the correction
-meets limits to half a percent, and the given torques vary between payloads."""
+CORRECTED_FOR, CORRECTED_AT, LEAST_PARTS = 16, 0.008, 24
+"""Payloads of the correction on the given path, distance of the knots of its references [s], and of how many it has one at least: closer ones follow
+the path's kinks with more jerk and power."""
+
+QUIET, NEAR_PATH, GROWTH = 0.2, 0.9, 1.2
+"""Shares of the allowed residual vibration and margin that it may use, and by how much the distance from the path may grow where it is more before."""
 
 Motion = TypeVar("Motion", bound=DesignedMotion)
 
@@ -91,9 +93,7 @@ Robots = tuple[Sequence[RobotVariant], NDArray[np.intp]]
 """Robots of a way, those of one scene behind each other, and the index of the robot of each case."""
 
 Optimum = tuple[list[tuple[list[tuple[float, float]], float, int, float]], float] | None
-Corrected = tuple[list[tuple[float, float]], float, int, float, str]
-"""What a journal has of motions: the attributes of each spline, with their worst violation (None where there is no
-motion), and with what follows the label."""
+"""What a journal has of motions: the attributes of each spline, with their worst violation; None where there is no motion."""
 
 
 def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate | str]:
@@ -109,7 +109,7 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
         raise InputError("optimal control plans a motion from one place to another, and this one ends where it starts")
     motions, nodes, few = _ways(goals)
     tight_ways, loads = limited(goals, found[0], motions)
-    attempt = partial(_attempt, goals, nodes, show, judge.journal)
+    attempt = partial(_attempt, goals, goals.wishes.minimise, nodes, show, judge.journal)
 
     def made(splines: Sequence[JointSpline]) -> Candidate:
         time = sum(each.duration for each in splines) + goals.rest
@@ -321,6 +321,7 @@ def _from_motions(
 
 def _attempt(
     goals: Goals,
+    aim: optimal_control.Aim,
     nodes: Sequence[int],
     show: ShowProgress,
     journal: WorkJournal,
@@ -341,7 +342,7 @@ def _attempt(
         # few cases have no others between them
         some = nodes if max(nodes) < len(ways[0].cases) else range(len(ways[0].cases))
         try:
-            for last in optimal_control.optimal_motion(ways, loads, some, loose=loose, aim=goals.wishes.minimise):
+            for last in optimal_control.optimal_motion(ways, loads, some, loose=loose, aim=aim):
                 time = goals.rest + sum(each.duration for each in last.motions)
                 show(f"optimal control over the bands: {time:.4g} s", None)
         except EquilibriumError:
@@ -379,9 +380,14 @@ def _ways(goals: Goals) -> tuple[list[Robots], list[int], NDArray[np.intp]]:
         for (robots, cases), scene, own, of_case in zip(ways, scenes, variations, cases_of(variations), strict=True):
             if scene is not None:
                 cases.append(len(robots) + of_case)
-                robots += [RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in own]
+                robots += robots_of(scene, own)
     first_nodes = nodes_of(max((each.variations(PAYLOADS[0]) for each in each_goals), key=len), FEW)
     return [(robots, np.concatenate(cases)) for robots, cases in ways], nodes, np.array(first_nodes)
+
+
+def robots_of(scene: Scene, variations: Sequence[Variation]) -> list[RobotVariant]:
+    """The robots of a scene within the bands."""
+    return [RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in variations]
 
 
 def excesses(judged: Assessment) -> Mapping[str, float]:
@@ -485,17 +491,14 @@ def _given_loads(goals: Goals, robots: Sequence[RobotVariant], names: Sequence[s
 
 
 def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:
-    """Yield motions with references for the flexible robot.
+    """Yield the motion with references for the flexible robot on the given path, corrected until limits hold over the bands.
 
-    Args:
-        judge: knows what to reach.
-        found: the given motion, and what else was assessed.
-        processes: not used: a correction takes a few seconds.
-        show: is called with what is being done.
+    Arguments as for `planner.Method`.
 
     Raises:
         InputError: the given motion is a table.
         TrajectoryError: there are no such references.
+        EquilibriumError: a robot's elastic motion has no solution.
     """
     goals = judge.goals
     if isinstance(goals.scene.trajectory, TableSection):
@@ -505,29 +508,26 @@ def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: Sh
     # the path alone
     scene = goals.scene.replace({"shaper": [], "trajectory.references": None, **ONCE})
     show("references for the flexible robot on the given path", None)
-    coefficients, *more, note = judge.journal.kept(("flexible",), Corrected, lambda: _references(goals, scene))
-    motors = JointSpline(np.array(coefficients), *more)
-    label = f"flexible references on the given path{note}"
-    yield Candidate(label, "flexible references", scene, motors.trajectory())
-
-
-def _references(goals: Goals, scene: Scene) -> tuple[Any, ...]:
-    """References for the scene of the path alone, as a journal has them."""
-    # the given motion's torques for each payload of the correction
-    given, variations = Judge(goals, CORRECTED_FOR).given, goals.variations(CORRECTED_FOR)
-    torques = np.array([each.values["torque"] for each in given.peaks])
     motion = plan_rigid(scene.replace({"trajectory.duration": goals.given.once.duration - 2.0 * LEAD}))
-    motors = flexible_references(scene, motion.task, motion.joints).motors
-    # references that hold over the bands
-    tolerances = Tolerances(
-        residual=0.2 * goals.wishes.residual,
-        off_path=0.9 * goals.wishes.margin,
-        torque=USED * goals.limit("torque", torques) if "torque" in goals.limits else None,
-        jerk=USED * float(goals.limit("jerk", np.array(given.jerk))) if "jerk" in goals.limits else None,
-    )
-    try:
-        changes = [each.changes(goals.scene) for each in variations]
-        return *vars(corrected(motion.scene, changes, motors, motion.task, tolerances)).values(), ""
-    except TrajectoryError:
-        # the FMU judges whether they do without a correction
-        return *vars(motors).values(), ", for the nominal payload"
+    motors = flexible_references(
+        scene, motion.task, motion.joints, min(CORRECTED_AT, motion.duration / LEAST_PARTS)
+    ).motors
+    variations = goals.variations(CORRECTED_FOR)
+    robots = robots_of(goals.scene, variations)
+    (way,), loads = limited(goals, found[0], [(robots, np.arange(len(robots)))])
+    # near the path, and where a robot isn't, hardly further away
+    response = FleetResponse(robots, motors.coefficients[0], motors.intervals).of_motion(motors, derivatives=False)
+    width = max(NEAR_PATH * goals.wishes.margin, -GROWTH * float(_within(goals, 0.0, response.position)[0].min()))
+    limits = replace(way.limits, distances=partial(_within, goals, width), residual=QUIET * goals.wishes.residual)
+    ways, nodes = [replace(way, start=motors, limits=limits)], nodes_of(variations, optimal_control.NODES)
+    tried = _attempt(goals, "limits", nodes, show, judge.journal, ("flexible",), ways, loads, 0.0)
+    # without a correction the FMU judges whether they do
+    (motors,), note = ([motors], ", for the nominal payload") if tried is None else (tried[0], "")
+    yield Candidate(f"flexible references on the given path{note}", "flexible references", scene, motors.trajectory())
+
+
+def _within(goals: Goals, width: float, points: RealArray) -> tuple[RealArray, RealArray]:
+    """Distances (1, ...) [m] of points (..., 2) from leaving a strip along the given path, half as wide as given, and gradients (1, ..., 2)."""
+    distance, gradient = goals.path.distance(points.reshape(-1, 2))
+    away = np.sign(distance)[:, np.newaxis] * gradient
+    return (width - np.abs(distance)).reshape(1, *points.shape[:-1]), -away.reshape(1, *points.shape)

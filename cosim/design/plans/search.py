@@ -15,15 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.designs import INTERVALS, LAW, LONGEST, FamilyMotion, ShaperChoice, first_numbers
 from flexfmu.cosim.design.plans.goals import Goals, Variation
-from flexfmu.cosim.design.plans.optimal import limited, nodes_of, refined
+from flexfmu.cosim.design.plans.optimal import limited, nodes_of, refined, robots_of
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.many.executor import mapping
-from flexfmu.model.reference_design.elastic_response import RobotVariant
 from flexfmu.model.reference_design.optimal_control import Aim, Stage, State, Way
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.motion import TrajectorySection
@@ -202,8 +200,7 @@ def study_of(goals: Goals, given: Assessment, payloads: int = FINAL[0]) -> Motio
     if not isinstance(section, TrajectorySection):
         raise InputError(f"scene {scene.name} has a motion from a table, and no path whose corners could change")
     variations = goals.variations(payloads)
-    robots = [RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in variations]
-    (way,), loads = limited(goals, given, [(robots, np.arange(len(robots)))], walls=True)
+    (way,), loads = limited(goals, given, [(robots_of(scene, variations), np.arange(len(variations)))], walls=True)
     if wishes.minimise == "residual":
         way = replace(way, limits=replace(way.limits, residual=NONE * way.limits.residual))
     # modes at the end of the motion

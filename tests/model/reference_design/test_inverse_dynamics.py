@@ -1,5 +1,4 @@
-"""References with which the flexible end effector follows a motion, judged by integrating the equations of motion; corrected ones hold
-over a band of payloads, judged by integrating motion and standstill with others than those they are for."""
+"""References with which the flexible end effector follows a motion, judged by integrating the equations of motion."""
 
 from __future__ import annotations
 
@@ -9,8 +8,6 @@ import pytest
 from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.reference_design.elastic_response import ElasticResponse
 from flexfmu.model.reference_design.inverse_dynamics import KNOT_SPACING, LEAD, FlexibleReferences, flexible_references
-from flexfmu.model.reference_design.joint_spline import JointSpline
-from flexfmu.model.reference_design.robust_correction import Tolerances, corrected
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
@@ -38,11 +35,6 @@ def line(n: int, duration: float) -> PiecewisePolynomial:
 @pytest.fixture(scope="module")
 def motion() -> PiecewisePolynomial:
     return line(6, 0.16)
-
-
-@pytest.fixture(scope="module")
-def simple() -> PiecewisePolynomial:
-    return line(3, 0.2)
 
 
 def designed(robot: Scene, motion: PiecewisePolynomial, knot_spacing: float = KNOT_SPACING) -> FlexibleReferences:
@@ -96,69 +88,3 @@ def test_knots_that_are_too_few(robot: Scene, motion: PiecewisePolynomial) -> No
     """The error names the key and a value that would do."""
     with pytest.raises(TrajectoryError, match=r"`knot_spacing` to 0\.016 s"):
         designed(robot, motion, 0.05)
-
-
-SEEN, OTHERS = ([{"payload.mass": float(mass)} for mass in np.linspace(4.2, 7.8, n)] for n in (16, 9))
-
-
-@pytest.fixture(scope="module")
-def nominal(robot: Scene, simple: PiecewisePolynomial) -> JointSpline:
-    """References for 6 kg alone."""
-    return designed(robot, simple).motors
-
-
-@pytest.fixture(scope="module")
-def found(robot: Scene, simple: PiecewisePolynomial, nominal: JointSpline) -> JointSpline:
-    """References for the band."""
-    return corrected(robot, SEEN, nominal, simple, Tolerances())
-
-
-def judged(robot: Scene, motion: PiecewisePolynomial, motors: JointSpline) -> tuple[float, float, RealArray]:
-    """Largest residual vibration and distance from the path [m] of other payloads, and their peak torques (P, 2) [N m]."""
-    still, steps = 0.05, 300
-    response = ElasticResponse(robot, OTHERS, motors.coefficients[0], steps)
-    whole = motors.duration + still
-    time = response.fractions * whole
-    moving = time <= motors.duration
-    references = np.hstack(list(motors.evaluate(np.minimum(time / motors.duration, 1.0))))
-    references[~moving, 2:] = 0.0
-    run = response.respond(references, whole)
-    rest = response.model.rest(motors.coefficients[-1]).position
-    away = run.position - motion.evaluate(time - LEAD, 0)[0]
-    rings = run.position[:, ~moving] - rest[:, np.newaxis]
-    sizes = [float(np.hypot(*np.moveaxis(each, -1, 0)).max()) for each in (rings, away[:, moving])]
-    return sizes[0], sizes[1], np.abs(run.torque).max(axis=1)
-
-
-@pytest.mark.slow
-def test_corrected_references_hold_for_the_band(
-    robot: Scene, simple: PiecewisePolynomial, nominal: JointSpline, found: JointSpline
-) -> None:
-    """Payloads between those of the design vibrate as little, and stay as near to the path."""
-    before, after = (judged(robot, simple, motors) for motors in (nominal, found))
-    assert before[0] > 1e-6
-    assert after[0] < 4e-7
-    assert after[1] < max(9e-5, 1.2 * before[1])
-
-
-def test_limits_of_torque_and_jerk_are_kept(
-    robot: Scene, simple: PiecewisePolynomial, nominal: JointSpline, found: JointSpline
-) -> None:
-    """Less torque than the correction would take is possible, at more distance from the path or more vibration; corrections are
-    some hundred microradians, at rest at both ends."""
-    change = found.coefficients - nominal.coefficients
-    assert 1e-6 < np.abs(change).max() < 1e-3
-    np.testing.assert_array_equal(change[[0, 1, 2, 3, -4, -3, -2, -1]], 0.0)
-    fractions = np.linspace(0.0, 1.0, 801)
-    jerk = 0.98 * float(np.abs(found.evaluate(fractions, 3)[3]).max())
-    limit = 0.997 * judged(robot, simple, found)[2].max(axis=0)
-    few = SEEN[::5]
-    limited = corrected(robot, few, nominal, simple, Tolerances(torque=np.tile(limit, (len(few), 1)), jerk=jerk))
-    assert np.abs(limited.evaluate(fractions, 3)[3]).max() < 1.006 * jerk
-    assert (judged(robot, simple, limited)[2].max(axis=0) < 1.006 * limit).all()
-
-
-def test_impossible_wishes(robot: Scene, simple: PiecewisePolynomial, nominal: JointSpline) -> None:
-    """A torque that the motion can't do without is told, with what could help."""
-    with pytest.raises(TrajectoryError, match="torques within their limits"):
-        corrected(robot, SEEN[:2], nominal, simple, Tolerances(torque=np.full((2, 2), 20.0)))

@@ -24,7 +24,7 @@ from flexfmu.cosim.design.plans import optimal as method
 from flexfmu.cosim.design.plans import planner
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, goals_of
-from flexfmu.cosim.design.plans.optimal import optimal
+from flexfmu.cosim.design.plans.optimal import flexible, optimal
 from flexfmu.cosim.design.plans.planned_files import planned_scenes, write_plan
 from flexfmu.cosim.design.plans.planner import PlanResult, plan_scene
 from flexfmu.cosim.design.plans.sampled_loop import loop_run, with_learned_torques
@@ -72,6 +72,49 @@ def test_a_motion_that_returns_is_an_error(goals: Goals, judge: Judge) -> None:
     returning.__dict__["trace"] = np.concatenate([goals.trace, goals.trace[::-1]])
     with pytest.raises(InputError, match="ends where it starts"):
         next(optimal(Judge(returning), [judge.given], 1, _silent))
+
+
+LIMITED = SCENE.replace(
+    {
+        "effects.damping.ratio": 0.01,
+        "plan": {"limits": {"torque": {"ratio": 0.9}, "jerk": {"ratio": 0.8}, "off_path": 1e-4}},
+    }
+)
+
+
+def on_the_path(scene: Scene, monkeypatch: pytest.MonkeyPatch, *, corrected: bool) -> Assessment:
+    """The references on the given path, as the FMU finds them for other payloads than those of their correction."""
+    if not corrected:
+        monkeypatch.setattr(method, "_attempt", lambda *_: None)
+    judge = Judge(goals_of(scene), 9)
+    (found,) = flexible(judge, [judge.given], 1, _silent)
+    monkeypatch.undo()
+    return judge.assess(found)
+
+
+@pytest.mark.slow
+def test_references_on_the_given_path_hold_for_the_band(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Payloads between those of the correction vibrate as little and stay as near to the path, with less torque, power and jerk than the given
+    motion; references for one payload don't. They are at rest at both ends."""
+    before, after = (on_the_path(LIMITED, monkeypatch, corrected=each) for each in (False, True))
+    assert {use.figure for use in before.uses if not use.met} == {"residual", "torque", "jerk"}
+    assert before.candidate.label.endswith("for the nominal payload")
+    assert after.feasible, [use for use in after.uses if not use.met]
+    assert after.time == pytest.approx(SCENE.trajectory.duration)
+    assert after.residual < 4e-7
+    assert after.worst("off_path") < 9.5e-5
+    rates = after.candidate.joints.evaluate(np.linspace(0.0, after.time, 101), 3, "left")[1:]
+    assert (np.abs(rates[:, [0, -1]]) < 1e-9 * np.abs(rates).max(axis=1, keepdims=True)).all()
+
+
+@pytest.mark.slow
+def test_robots_that_sag_off_the_path_stay_as_near_as_they_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Payloads that sag further than the margin: hardly further from the path than before, with a tenth of the vibration."""
+    scene = LIMITED.replace({"plan": {"payload_band": 0.99}})
+    before, after = (on_the_path(scene, monkeypatch, corrected=each) for each in (False, True))
+    assert before.worst("off_path") > 1e-4
+    assert after.worst("off_path") < 1.25 * before.worst("off_path")
+    assert after.residual < 0.1 * before.residual
 
 
 @pytest.fixture(scope="module")
