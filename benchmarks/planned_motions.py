@@ -14,8 +14,8 @@ from typing import Any
 
 from flexfmu import load_scene
 from flexfmu.cosim.cli.design import with_wishes
-from flexfmu.cosim.design.plans.planned_files import summary, write_scene
-from flexfmu.cosim.design.plans.planner import METHODS, PlanResult, plan_scene
+from flexfmu.cosim.design.plans.plan_result import PlanResult, summary, write_scene
+from flexfmu.cosim.design.plans.planner import METHODS, plan_scene
 from flexfmu.model.scene.schema import Scene
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -85,7 +85,6 @@ ALONE = {
     "cosim.design.margins.pictures": "drawing",
     "cosim.design.plans.designs": "families of motions",
     "cosim.design.plans.search": "a method of the planner",
-    "cosim.design.plans.robustness": "a plan in other models",
     "cosim.design.response.modal_fit": "modes of a response",
     "cosim.design.shapers.figure": "drawing",
     "cosim.engine.master.program_image": "a run for a WebAssembly module",

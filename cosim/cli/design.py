@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from flexfmu.cosim.design.gains.tuner import TuneResult
-    from flexfmu.cosim.design.plans.drive_table import DriveTable
-    from flexfmu.cosim.design.plans.planner import PlanResult
+    from flexfmu.cosim.design.plans.plan_result import DriveTable, PlanResult
     from flexfmu.model.scene.schema import Scene
 
 
@@ -611,8 +610,7 @@ def plan(
     from flexfmu.cosim.design.gains.robustness import parse_band
     from flexfmu.cosim.design.identification.result import Identification
     from flexfmu.cosim.design.plans.assessment import own_candidate
-    from flexfmu.cosim.design.plans.drive_table import check_drive
-    from flexfmu.cosim.design.plans.planned_files import planned_scenes, summary, write_plan, write_scene
+    from flexfmu.cosim.design.plans.plan_result import check_drive, planned_scenes, summary, write_plan, write_scene
     from flexfmu.cosim.design.plans.planner import METHODS, about_plan, plan_scene
     from flexfmu.cosim.engine.files import write_whole
     from flexfmu.cosim.many.journal import WorkJournal
@@ -738,7 +736,7 @@ SHOWN, SHOWN_FIGURES = 12, ("time", "residual", "power", "energy")
 
 def _shown_plan(result: PlanResult) -> Iterator[RenderableType]:
     """What the given and the chosen motion need, how close this comes to each limit, the front, the chosen motion in other models, and the verdict."""
-    from flexfmu.cosim.design.plans.planned_files import (
+    from flexfmu.cosim.design.plans.plan_result import (
         limits_table,
         motions_table,
         robustness_table,

@@ -192,14 +192,36 @@ LOOP_FIGURES: Mapping[str, MetricDefinition] = {
     )
 }
 """Figures of a loop beside the metrics of its run: the worst margins along the path, and what it costs."""
+
 # fmt: on
+
+PLAN_FIGURES: Mapping[str, MetricDefinition] = {
+    "time": MetricDefinition("Total time", "s", "Duration with shapers, without the dwell."),
+    "residual": MetricDefinition(
+        "Residual vibration", "m", "Largest distance from rest.", display=("µm", lambda value: 1e6 * value)
+    ),
+    "torque": MetricDefinition("Peak torque", "N.m", "Largest torque of a motor."),
+    "rms_torque": MetricDefinition("RMS torque", "N.m", "Largest RMS torque of a motor, over motion and standstill."),
+    "power": MetricDefinition("Power of a motor", "W", "Largest power of a motor, into the robot or back."),
+    "supply_power": MetricDefinition("Power of the supply", "W", "Largest power of both motors together."),
+    "regenerated_power": MetricDefinition("Power back", "W", "Largest power out of both motors together."),
+    "energy": MetricDefinition("Energy", "J", "Energy that the motors give, without what they take back."),
+    "off_path": MetricDefinition("Off the path", "m", "Largest distance from the given path."),
+    "speed": MetricDefinition("Joint speed", "rad/s", "Largest speed of a joint reference."),
+    "acceleration": MetricDefinition("Joint acceleration", "rad/s2", "Largest acceleration of a joint reference."),
+    "jerk": MetricDefinition("Joint jerk", "rad/s3", "Largest jerk of a joint reference."),
+    "clearance": MetricDefinition("Distance to the keep-out region", "m", "Smallest distance to the keep-out region."),
+}
+"""Figures of a planned motion, the largest of all robots and joints."""
+
+_EVERY = {**PLAN_FIGURES, **LOOP_FIGURES, **ALL_METRICS}
 
 
 def metric(name: str, value: float | None, **known: Any) -> Metric:
     """Return a metric by name, with unit, label and description.
 
     Args:
-        name: of `ALL_METRICS` or `LOOP_FIGURES`.
+        name: of `ALL_METRICS`, `LOOP_FIGURES` or `PLAN_FIGURES`.
         value: in the SI unit, or a metric without name and unit.
         known: further arguments of `Metric`, ``error`` for example.
     """
@@ -209,12 +231,12 @@ def metric(name: str, value: float | None, **known: Any) -> Metric:
 
 
 def definition(name: str) -> MetricDefinition:
-    """Return what a metric of `ALL_METRICS` or a figure of `LOOP_FIGURES` is.
+    """Return what a metric of `ALL_METRICS` or a figure of `LOOP_FIGURES` or `PLAN_FIGURES` is.
 
     Raises:
         KeyError: there is none of this name.
     """
-    return ALL_METRICS[name] if name in ALL_METRICS else LOOP_FIGURES[name]
+    return _EVERY[name]
 
 
 def display(name: str, value: float | None, digits: int | None = None, error: float | None = None) -> str:

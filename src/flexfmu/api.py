@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from flexfmu.cosim.design.identification.experiments import ProposedMotions
     from flexfmu.cosim.design.identification.result import Identification
     from flexfmu.cosim.design.margins.scene_margins import MarginsResult
-    from flexfmu.cosim.design.plans.planner import PlanResult
+    from flexfmu.cosim.design.plans.plan_result import PlanResult
     from flexfmu.cosim.design.response.response import FrequencyResponse
     from flexfmu.cosim.engine.measured import Log
     from flexfmu.cosim.experiment.accuracy import AccuracyAnswer
@@ -518,7 +518,7 @@ def plan_motion(
         TypeError: ``scene`` is of another type.
     """
     from flexfmu.cosim.design.plans.assessment import own_candidate
-    from flexfmu.cosim.design.plans.planned_files import planned_scenes, write_plan
+    from flexfmu.cosim.design.plans.plan_result import planned_scenes, write_plan
     from flexfmu.cosim.design.plans.planner import METHODS, about_plan, plan_scene
     from flexfmu.cosim.many.journal import WorkJournal
 

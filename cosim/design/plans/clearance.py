@@ -24,6 +24,9 @@ TOUCHING = 1e-9
 ROUND = 10.0
 """A way passes through a region where both ways round are further from it than this multiple of its depth: walls, not corners."""
 
+RETURN = 1e-6
+"""Distance from start to end [m] below which a motion returns."""
+
 PARTS, REFINED, PEAKS = 8, 33, 4
 """Parts of each segment at which the depth within a region is looked at; points about each of so many peaks, three times."""
 
@@ -79,8 +82,7 @@ class Polygon:
 
     def distance(self, points: RealArray) -> tuple[RealArray, RealArray]:
         """Distances (N,) [m] of points (N, 2), negative inside, and their gradients (N, 2)."""
-        side = np.roll(self.corners, -1, axis=0) - self.corners
-        sides = self._near(points)
+        side, sides = self._sides, self._near(points)
         away, along, nearest = to_nearest(points, self.corners[sides], side[sides])
         chosen = sides[np.arange(len(points)), nearest]
         # outside is where the normal points to; at a corner the sum of both sides' normals
@@ -126,9 +128,9 @@ class Polygon:
 
     def stretches(self, points: RealArray) -> list[Stretch]:
         """Where a way, straight between points (N, 2), is within the polygon, however thin that is there."""
-        index, place = self._crossings(points)
+        index, sides = self._crossings(points)
         bounds = np.concatenate([[0.0], index, [len(points) - 1.0]])
-        inside = self.distance(_at(points, 0.5 * (bounds[1:] + bounds[:-1])))[0] < -TOUCHING
+        inside = self.distance(interpolated(points, 0.5 * (bounds[1:] + bounds[:-1])))[0] < -TOUCHING
         # parts that follow each other are one stretch
         edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
         found = []
@@ -137,7 +139,7 @@ class Polygon:
             steps = np.arange(np.ceil(low * PARTS), np.floor(high * PARTS) + 1.0) / PARTS
             where = np.unique(np.concatenate([np.linspace(low, high, REFINED), steps]))
             for _ in range(4):
-                depth = -self.distance(_at(points, where))[0]
+                depth = -self.distance(interpolated(points, where))[0]
                 k = int(depth.argmax())
                 deepest, most = float(where[k]), float(depth[k])
                 # corners of the region bend the depth: what is nearly as deep may be deeper beside it
@@ -148,36 +150,29 @@ class Polygon:
                 where = np.unique(np.linspace(*ends, REFINED))
             around = 0.0
             if first > 0 and last < len(bounds) - 1:
-                way = _at(points, np.concatenate([[low], np.arange(np.floor(low) + 1.0, np.ceil(high)), [high]]))
-                around = self._around(way, place[first - 1], place[last - 1])
+                numbers = np.concatenate([[low], np.arange(np.floor(low) + 1.0, np.ceil(high)), [high]])
+                around = self._around(interpolated(points, numbers), sides[first - 1], sides[last - 1])
             found.append(Stretch(deepest, most, around if around > ROUND * most else 0.0))
         return found
 
-    def _crossings(self, points: RealArray) -> tuple[RealArray, RealArray]:
-        """Where a way crosses the outline: ascending numbers of its points, with fractions, and lengths along the outline [m]."""
+    def _crossings(self, points: RealArray) -> tuple[RealArray, NDArray[np.intp]]:
+        """Where a way crosses the outline: ascending numbers of its points, with fractions, and the sides."""
         # segments near the outline
         ends = np.stack([points[:-1], points[1:]])
         near = (ends.max(axis=0) >= self.corners.min(axis=0)) & (ends.min(axis=0) <= self.corners.max(axis=0))
         number = np.flatnonzero(near.all(axis=1))
         start, along = points[number, None], (points[number + 1] - points[number])[:, None]
-        side = np.roll(self.corners, -1, axis=0) - self.corners
-        away, turn = self.corners - start, _cross(along, side)
+        away, side, turn = self.corners - start, self._sides, _cross(along, self._sides)
         with np.errstate(divide="ignore", invalid="ignore"):
             t, u = _cross(away, side) / turn, _cross(away, along) / turn
         rows, sides = np.nonzero((turn != 0.0) & (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0))
         index, first = np.unique(number[rows] + t[rows, sides], return_index=True)
-        rows, sides = rows[first], sides[first]
-        return index, self._lengths[sides] + u[rows, sides] * np.hypot(*side[sides].T)
+        return index, sides[first]
 
-    @cached_property
-    def _lengths(self) -> RealArray:
-        """Lengths along the outline (N + 1,) of the corners, and of all of it [m]."""
-        return np.concatenate([[0.0], np.cumsum(np.hypot(*(np.roll(self.corners, -1, axis=0) - self.corners).T))])
-
-    def _around(self, way: RealArray, enters: float, leaves: float) -> float:
-        """How far the nearer of both outlines between two of its places is from the way between them [m]."""
-        low, high = sorted((enters, leaves))
-        between = (self._lengths[:-1] > low) & (self._lengths[:-1] < high)
+    def _around(self, way: RealArray, enters: int, leaves: int) -> float:
+        """How far the nearer of both outlines between two of its sides is from the way between them [m]."""
+        first, last = sorted((enters, leaves))
+        between = (np.arange(len(self.corners)) > first) & (np.arange(len(self.corners)) <= last)
         away, _, _ = to_nearest(self.corners, way[:-1], np.diff(way, axis=0))
         distance = np.hypot(*away.T)
         return min(float(distance[chosen].max(initial=0.0)) for chosen in (between, ~between))
@@ -194,6 +189,11 @@ class Polygon:
     def _tree(self) -> cKDTree:
         return cKDTree(self.corners)
 
+    @cached_property
+    def _sides(self) -> RealArray:
+        """Vectors (N, 2) [m] from each corner to the next."""
+        return np.roll(self.corners, -1, axis=0) - self.corners
+
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
@@ -201,15 +201,14 @@ class Clearance:
 
     Attributes:
         regions: polygons.
-        origins, normals: of lines, (L, 2) [m] and unit vectors; the side that the normal points to is allowed.
+        lines: an origin (2,) [m] and a normal (2,) of length 1 each; the side that the normal points to is allowed.
         thin: whether regions may be thinner than the distance of a way's points.
         for_links: those regions that links keep clear of too: rigid ones, round, from the bases by the elbows to the end effector.
         mechanism: has the links.
     """
 
     regions: tuple[Polygon, ...]
-    origins: RealArray
-    normals: RealArray
+    lines: tuple[tuple[RealArray, RealArray], ...] = ()
     thin: bool = False
     for_links: tuple[Polygon, ...] = ()
     mechanism: Mechanism | None = None
@@ -218,8 +217,7 @@ class Clearance:
         """Distances (K, ...) [m] of points (..., 2) to each region and line, negative where the point must not be, and gradients (K, ..., 2)."""
         flat = points.reshape(-1, 2)
         found = [region.distance(flat) for region in self.regions]
-        for origin, normal in zip(self.origins, self.normals, strict=True):
-            found.append(((flat - origin) @ normal, np.broadcast_to(normal, flat.shape)))
+        found += [((flat - origin) @ normal, np.broadcast_to(normal, flat.shape)) for origin, normal in self.lines]
         if self.for_links:
             found += self._of_links(flat)
         if not found:
@@ -262,22 +260,17 @@ class Clearance:
         """The smallest of these distances (N,) [m]."""
         return np.asarray(self.distances(points)[0].min(axis=0))
 
-    def along(self, points: RealArray, margin: float) -> RealArray:
-        """The smallest of these distances (N,) [m] on a way, straight between points (N, 2).
-
-        Args:
-            points: of the way.
-            margin: depth [m] up to which a way may dip into a region; what it passes through counts by the way around it.
-        """
+    def along(self, points: RealArray) -> RealArray:
+        """The smallest of these distances (N,) [m] on a way, straight between points (N, 2); what it passes through counts by the way around it."""
         found = self.distance(points)
         for each in self._stretches(points):
             number = round(each.deepest)
-            found[number] = min(found[number], -each.depth if each.depth > margin else -max(each.depth, each.around))
+            found[number] = min(found[number], -max(each.depth, each.around))
         if self.for_links:
             # corners pass links between the points
             nearest = int(found.argmin())
             around = np.linspace(max(nearest - 1, 0), min(nearest + 1, len(points) - 1), REFINED)
-            found[nearest] = min(found[nearest], float(self.distance(_at(points, around)).min()))
+            found[nearest] = min(found[nearest], float(self.distance(interpolated(points, around)).min()))
         return found
 
     def passage(self, points: RealArray) -> float:
@@ -293,9 +286,15 @@ def _cross(one: RealArray, other: RealArray) -> RealArray:
     return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
 
 
-def _at(points: RealArray, index: RealArray) -> RealArray:
-    """Points between others, at numbers with fractions."""
-    return np.column_stack([np.interp(index, np.arange(len(points)), each) for each in points.T])
+def lengths(points: RealArray) -> RealArray:
+    """Lengths (N,) [m] along a way, straight between points (N, 2)."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+
+
+def interpolated(points: RealArray, where: RealArray, places: RealArray | None = None) -> RealArray:
+    """Points between others, at ascending places; without places at numbers with fractions."""
+    known = np.arange(len(points)) if places is None else places
+    return np.column_stack([np.interp(where, known, each) for each in points.T])
 
 
 def _evenly(corners: RealArray) -> RealArray:
@@ -318,26 +317,19 @@ def clearance_of_trace(trace: RealArray, corridor: float, below: float) -> Clear
     """
     start, end = trace[0], trace[-1]
     width = float(np.hypot(*(end - start)))
-    if width < 1e-6:
-        # there and back: a corridor alone
-        low, high = trace.min(axis=0) - corridor, trace.max(axis=0) + corridor
-        return Clearance(
-            (), np.array([low, low, high, high]), np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-        )
-    across = (end - start) / width
+    is_return = width < RETURN
+    across = np.array([1.0, 0.0]) if is_return else (end - start) / width
     up = np.array([-across[1], across[0]])
     heights = (trace - start) @ up
     up = up if abs(heights.max()) >= abs(heights.min()) else -up
     u, v = (trace - start) @ across, (trace - start) @ up
-    origins = np.array(
-        [
-            start + (u.min() - corridor) * across,
-            start + (u.max() + corridor) * across,
-            start + (v.max() + corridor) * up,
-            start + (min(v.min(), 0.0) - below) * up,
-        ]
-    )
+    low = v.min() - corridor if is_return else min(v.min(), 0.0) - below
+    sides = ((u.min() - corridor, across), (-u.max() - corridor, -across), (-v.max() - corridor, -up), (low, up))
+    lines = tuple((start + distance * normal, normal) for distance, normal in sides)
+    if is_return:
+        # a corridor alone
+        return Clearance((), lines)
     # one region with what lies below the chord, or the chord itself would be a way between them; the robot may sag at both ends
     inset, depth = (2.0 * below + TOUCHING) * across, (below + 2.0 * v.max() - min(v.min(), 0.0)) * up
     wall = np.array([end - inset, end - inset - depth, start + inset - depth, start + inset])
-    return Clearance((Polygon.of(np.concatenate([trace, wall])),), origins, np.array([across, -across, -up, up]))
+    return Clearance((Polygon.of(np.concatenate([trace, wall])),), lines)

@@ -14,7 +14,7 @@ from scipy.ndimage import label
 from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.clearance import Clearance, Polygon, clearance_of_trace
+from flexfmu.cosim.design.plans.clearance import Clearance, Polygon, clearance_of_trace, interpolated, lengths
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.cycles import Reversed
 from flexfmu.cosim.experiment.parameters import scene_with_parameters
@@ -138,9 +138,8 @@ class Goals:
         """Points of the given motion's way, equally spaced by length, (TRACE, 2) [m]."""
         motion = self.given.once
         points = motion.along_path.evaluate(np.linspace(0.0, motion.duration, 20 * TRACE), 0, "left")[0]
-        length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-        even = np.linspace(0.0, length[-1], TRACE)
-        return np.column_stack([np.interp(even, length, points[:, k]) for k in range(2)])
+        length = lengths(points)
+        return interpolated(points, np.linspace(0.0, length[-1], TRACE), length)
 
     @cached_property
     def path(self) -> Polygon:
@@ -154,18 +153,24 @@ class Goals:
         if wishes.keep_out is not None:
             regions = [Polygon.of(each.outline) for each in wishes.keep_out]
             linked = tuple(region for region, each in zip(regions, wishes.keep_out, strict=True) if each.links)
-            none = np.empty((0, 2))
-            return Clearance(tuple(regions), none, none, True, linked, scene.mechanism)
+            return Clearance(tuple(regions), (), True, linked, scene.mechanism)
         # how far the heaviest payload sags at the ends of the motion, in any direction [m]
-        heavy, motion = Variation(self.band[1], 1 - wishes.stiffness_band).of(scene), self.given.once
-        ends = zip(motion.joints.evaluate([0.0, motion.duration], 0, "left")[0], self.trace[[0, -1]], strict=True)
-        away = [np.hypot(*(static_equilibrium(heavy, joints).position - end)) for joints, end in ends]
+        heavy, ends = Variation(self.band[1], 1 - wishes.stiffness_band).of(scene), self.trace[[0, -1]]
+        pairs = zip(self.ends, ends, strict=True)
+        away = [np.hypot(*(static_equilibrium(heavy, joints).position - end)) for joints, end in pairs]
         return clearance_of_trace(self.trace, wishes.corridor, float(max(away)))
 
     @cached_property
     def given(self) -> MotionPlan:
         """The given motion."""
         return plan(self.scene) if self.own is None else plan_own(self.scene, self.own)
+
+    @cached_property
+    def ends(self) -> RealArray:
+        """Joint angles (2, 2) [rad] at the start and at the end of the given motion."""
+        motion = self.given.once
+        found: RealArray = motion.joints.evaluate([0.0, motion.duration], 0, "left")[0]
+        return found
 
     @property
     def standstill(self) -> float:
@@ -175,7 +180,7 @@ class Goals:
     @property
     def rest(self) -> float:
         """Pauses of a cycle together [s]; 0 for a single motion."""
-        return sum(each.pause or 0.0 for each in self.ways)
+        return sum(each.standstill for each in self.ways)
 
     @property
     def drives(self) -> Drives | None:
@@ -314,8 +319,7 @@ def _with_feedforward(scene: Scene) -> Scene:
     if any(each.kind not in ("pd", "pid") for each in scene.controller):
         return scene
     further = {"kind": "feedforward", "robot": "flexible", "sample_time": getattr(first, "sample_time", None)}
-    controllers = scene.model_dump(exclude_none=True)["controller"]
-    return scene.replace({"controller": [*controllers, {k: v for k, v in further.items() if v is not None}]})
+    return scene.replace({"controller": [*scene.model_dump(exclude_none=True)["controller"], further]})
 
 
 def judged_scene(scene: Scene, wishes: PlanSection) -> Scene:
@@ -392,40 +396,34 @@ def check_holding_torque(goals: Goals, given: Mapping[Variation, Sequence[float]
     Raises:
         InputError: they can't; no motion keeps to the limit then.
     """
-    limit, drives = goals.limits.get("torque"), goals.drives
+    limit, motors = goals.limits.get("torque"), () if goals.drives is None else goals.drives.motors
     if limit is not None and limit.is_relative and given is None:
         limit = None
     robots = [*(goals.variations(2) if given is None else given)]
     model = VariantModel(goals.scene, [each.changes(goals.scene) for each in robots], CompiledAtPoints)
-    motion = goals.given.once
-    ends = motion.joints.evaluate([0.0, motion.duration], 0, "left")[0]
-    torques = np.abs([model.rest(joints).torque for joints in ends])
-    for (end, k, joint), torque in np.ndenumerate(torques):
-        robot = robots[k]
-        holding = f"which hold {robot} at the {('start', 'end')[end]} of the motion against gravity"
-        if drives is not None:
-            motor = drives.motors[joint]
-            at_shaft = torque / motor.gear_ratio
-            curve = "torque_speed_curve" if motor.torque_speed_curve else "peak_torque"
+    for (end, k, joint), torque in np.ndenumerate(np.abs([model.rest(joints).torque for joints in goals.ends])):
+        # what allows so much, less than what is needed where, and the remedy
+        checks = list[tuple[str, float, float, str, str]]()
+        for motor in motors[joint : joint + 1]:
+            needed, place = torque / motor.gear_ratio, f"the shaft of motor {joint + 1}"
+            curve, at_rest = motor.torque_speed_curve, float(motor.largest_torque(np.zeros(1))[0][0])
             for name, key, most in (
                 ("motor_rms_torque", "continuous_torque", motor.continuous_torque),
-                ("motor_torque", curve, float(drives.largest(np.zeros((1, 2)))[0][0, joint])),
+                ("motor_torque", "torque_speed_curve" if curve else "peak_torque", at_rest),
             ):
-                if name in goals.limits and at_shaft > most:
-                    raise InputError(
-                        f"`motor.{key}` allows {most:g} N·m at rest, less than {at_shaft:.4g} N·m at the shaft of motor {joint + 1}, "
-                        f"{holding}: take a stronger motor or gear, or carry less"
-                    )
-        if limit is None:
-            continue
-        most, wish = limit.limit, f"{limit.limit:g} N·m"
-        if given is not None and limit.is_relative:
-            most *= given[robot][joint]
-            wish = f"{limit.limit:g} of the given motion's, {most:.4g} N·m of joint {joint + 1},"
-        if torque > most * (1.0 + MET):
-            raise InputError(
-                f"`plan.limits.torque` = {wish} is below {torque:.4g} N·m, {holding}: allow more, or carry less"
-            )
+                if name in goals.limits:
+                    checks.append((f"`motor.{key}`", most, needed, place, "take a stronger motor or gear"))
+        if limit is not None:
+            usual = 1.0 if given is None else given[robots[k]][joint]
+            unit = "of the given motion's" if limit.is_relative else "N·m"
+            wish = f"`plan.limits.torque` = {limit.limit:g} {unit}"
+            checks.append((wish, float(limit.resolved(np.array(usual))), torque, f"joint {joint + 1}", "allow more"))
+        for what, most, needed, place, remedy in checks:
+            if needed > most * (1.0 + MET):
+                raise InputError(
+                    f"{what} allows {most:.4g} N·m at rest, less than {needed:.4g} N·m at {place}, which hold {robots[k]} at the "
+                    f"{('start', 'end')[end]} of the motion against gravity: {remedy}, or carry less"
+                )
 
 
 def _check_duration(goals: Goals) -> None:
@@ -433,10 +431,9 @@ def _check_duration(goals: Goals) -> None:
     duration = goals.wishes.duration
     if duration is None:
         return
-    motions = [each.given.once for each in goals.ways or (goals,)]
-    ends = [each.joints.evaluate([0.0, each.duration], 0, "left")[0] for each in motions]
-    turns = np.array([np.abs(last - first).max() for first, last in ends])
-    peaks = np.max([peak_rates(each.joints) for each in motions], axis=0)
+    ways = goals.ways or (goals,)
+    turns = np.array([np.abs(np.diff(each.ends, axis=0)).max() for each in ways])
+    peaks = np.max([peak_rates(each.given.once.joints) for each in ways], axis=0)
     for k, name in enumerate(RATES):
         if name not in goals.limits:
             continue

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, cases_of, needs
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, cases_of
+from flexfmu.cosim.design.plans.clearance import RETURN
 from flexfmu.cosim.design.plans.goals import ONCE, RATES, Goals, Variation
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
@@ -72,9 +73,6 @@ ROUGH = 4.0
 
 INTERRUPTED = "optimal control, interrupted"
 """Label of the motion that optimal control had when it was interrupted."""
-
-RETURN = 1e-6
-"""Distance from start to end [m] below which a motion returns."""
 
 LOADS = optimal_control.GROUPS[optimal_control.RESIDUAL + 1 :]
 """Limits of motors, joints and links besides the torque, which the programmes have."""
@@ -262,7 +260,7 @@ def _front(
             return
         if number == 0:
             # what the motion needs without these limits
-            needed = {name: max(need / usual for need, usual, _ in needs(name, judged, judge.given)) for name in own}
+            needed = {name: float((judged.values[name] / judge.given.values[name]).max()) for name in own}
             natural |= {name: min(natural[name], each) for name, each in needed.items()}
             before = {**before, **needed}
 
@@ -272,7 +270,8 @@ def _allowed(goals: Goals, given: Assessment, name: str) -> float:
     limit = goals.limits.get(name)
     if name == "residual" or limit is None or limit.is_relative:
         return 1.0 if name == "residual" else math.inf if limit is None else limit.limit
-    return min(limit.limit / usual for _, usual, _ in needs(name, given, given) if usual)
+    usual = given.values[name]
+    return float((limit.limit / usual[usual > 0.0]).min())
 
 
 def _shares(goals: Goals, given: Assessment) -> tuple[float, ...]:
@@ -443,8 +442,7 @@ def limited(
     drives, each_goals = goals.drives, goals.ways or (goals,)
     if drives is not None and "motor_speed" in goals.limits:
         largest = np.array([each.maximum_speed / each.gear_ratio for each in drives.motors])
-        usual_speed = np.max([each.values["motor_speed"] for each in given.peaks], axis=0)
-        speed = np.minimum(speed, largest * goals.limit("motor_speed", usual_speed))
+        speed = np.minimum(speed, largest * goals.limit("motor_speed", given.values["motor_speed"].max(axis=0)))
     names = ["torque", *(name for name in LOADS if name in goals.limits)]
     needs = list[dict[str, RealArray]]()
     for of_way, (robots, cases) in zip(each_goals, motions, strict=True):

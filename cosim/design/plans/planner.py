@@ -1,36 +1,46 @@
-"""Plans a motion: search, references for the flexible robot and optimal control, judged by the FMU, the best one chosen."""
+"""Plans a motion: search, references for the flexible robot and optimal control, judged by the FMU, the best one chosen.
+
+Whether what it promises holds beyond the model that it was planned with: the planned joint references drive richer models of the robot,
+robots at the corners of the bands, the finite elements, and robots whose motors follow by loops with encoders: the scene's own with other
+payloads, or two usual ones. Limits relative to the given motion are those of the given motion in the same model.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
+from functools import partial
+from math import nan
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.assessment import FIGURES, JUDGED, Assessment, Candidate, Judge, heading, noted, shown
-from flexfmu.cosim.design.plans.drive_table import DriveTable, drive_table
-from flexfmu.cosim.design.plans.goals import LOOP_PARTS, Goals, check_holding_torque, checked_goals, judged_scene
+from flexfmu.cosim.design.plans.assessment import STEP, Assessment, Candidate, Judge, noted
+from flexfmu.cosim.design.plans.goals import (
+    Goals,
+    Variation,
+    check_holding_torque,
+    checked_goals,
+    goals_of,
+    judged_scene,
+)
 from flexfmu.cosim.design.plans.optimal import flexible, optimal
-from flexfmu.cosim.design.plans.robustness import RobustnessLine, robustness
-from flexfmu.cosim.design.plans.sampled_loop import with_learned_torques
+from flexfmu.cosim.design.plans.plan_result import PlanResult, RobustnessLine
+from flexfmu.cosim.design.plans.sampled_loop import joint_motion, left_in_loop, with_learned_torques
 from flexfmu.cosim.design.plans.search import search
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.showing import Rows, ShowProgress, quiet
-from flexfmu.cosim.experiment.metric import RunMetrics
+from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.timing import processor_time
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal, about_scene
 from flexfmu.cosim.many.prepared_scene import PreparedScene
+from flexfmu.model.finite_elements.motion import equilibrium, simulate
+from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.one_thread import one_blas_thread
+from flexfmu.model.scene.effects import NoDampingSection
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.statics import static_equilibrium
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from flexfmu.model.statics import damped_modes, static_equilibrium
 
 Method = Callable[[Judge, Sequence[Assessment], int, ShowProgress], Iterator[Candidate | str]]
 
@@ -38,166 +48,55 @@ METHODS: Mapping[str, Method] = {"search": search, "flexible": flexible, "optima
 """Methods in the order in which they run, what one finds, the next can start from: from the judge, what it has assessed before, the
 number of processes and where to show progress to all candidates that are tried, and why there is none from a start."""
 
-FRONT = ("time", "residual", "torque", "energy", "off_path")
-"""Figures that the Pareto front weighs against each other."""
-
-BINDING = 0.98
-"""Used share of a limit from which on the verdict names it."""
-
-MANY = 20.0
-"""Ratio of the largest to the smallest value from which on a diagram is logarithmic."""
-
-ALIKE = 1e-3
-"""Relative difference of all figures of a front below which the front has one of two motions."""
-
 NO_SAG = 1e-12
 """Sag [m] below which an undeformed start is at rest."""
 
 
-@dataclass(frozen=True, eq=False)
-class PlanResult(Rows):
-    """A planned motion, and what it was chosen from.
+RICHER: Mapping[str, Mapping[str, Any]] = {
+    "planned model": {},
+    "distal bending": {"effects.distal_bending": 3},
+    "shear": {"effects.beam": "timoshenko"},
+    "foreshortening": {"effects.foreshortening": True},
+}
+"""Effects beyond the usual ones → keys of the scene."""
 
-    Attributes:
-        goals: what it was planned for.
-        given: the scene's own motion.
-        chosen: the best motion that keeps to all limits, or the one that misses them least, see `best`.
-        assessed: all candidates, in the order in which they were found.
-        failures: message of each candidate or method that failed.
-        interrupted: whether the plan ended before its methods did.
-        cpu_time: processor time of planning [s], of all processes.
-        robustness: what remains of the chosen motion's figures in richer models, beyond the bands, and in a loop.
-    """
+RICHEST = "richest model"
+"""Name of the model with all of these effects, and three shapes of every family."""
 
-    goals: Goals
-    given: Assessment
-    chosen: Assessment
-    assessed: tuple[Assessment, ...]
-    failures: tuple[str, ...]
-    interrupted: bool
-    cpu_time: float
-    robustness: tuple[RobustnessLine, ...] = ()
+BANDS = {
+    "": (1.0, 1.0),
+    ", stiffness -10 %": (0.9, 1.0),
+    ", stiffness +10 %": (1.1, 1.0),
+    ", half the damping": (1.0, 0.5),
+    ", twice the damping": (1.0, 2.0),
+}
+"""Robots within and beyond the payload band → factors of stiffness and damping, in the richest model."""
 
-    def __repr__(self) -> str:
-        """Return the chosen motion beside the given one, in a few lines."""
-        lines = [f"PlanResult of {self.goals.scene.name}: {self.chosen.candidate.label}"]
-        chosen, given = self.chosen.metrics, self.given.metrics
-        for name in (*FRONT, "rms_torque", "power"):
-            unit = FIGURES[name].display_unit
-            lines.append(f"  {name}: {shown(name, chosen[name])} {unit} (given {shown(name, given[name])})")
-        return "\n".join([*lines, f"  {self.verdict}"])
+PAYLOADS = 7
+"""Payloads within the band for each model."""
 
-    @cached_property
-    def ways(self) -> tuple[tuple[Assessment, Assessment], ...]:
-        """The given and the chosen motion of each way of a cycle, from rest; empty for a single motion."""
-        judge = Judge(self.goals, JUDGED)
-        pairs = (judge.of_ways(each.candidate, given=each is self.given) for each in (self.given, self.chosen))
-        return tuple(zip(*pairs, strict=True))
+ELEMENTS, ELEMENT_STEP, ELEMENT_DWELL = 4, 2.5e-4, 0.06
+"""Elements of a link, step [s], and standstill after the motion [s] of the finite elements."""
 
-    @property
-    def metrics(self) -> RunMetrics:
-        """The figures of the chosen motion, the worst within the bands."""
-        return self.chosen.metrics
+SAMPLE_TIME, COUNTS, MOTOR_INERTIA = 1e-3, 1e6, 0.1
+"""Of the loops: sample time [s], encoder counts a turn, and inertia of motors without one [kg.m2]."""
 
-    @cached_property
-    def scene(self) -> Scene:
-        """The scene with the chosen motion; a motion of the joints is in ``chosen.candidate.trajectory``."""
-        scene, mass, loop = self.chosen.candidate.scene, self.goals.payload, self.goals.loop
-        if loop is not None:
-            # the motion, followed by the controllers
-            loop = with_learned_torques(loop, self.chosen.candidate.joints, scene.trajectory.dwell)
-            scene = scene.model_copy(update={key: getattr(loop, key) for key in ("cosimulation", *LOOP_PARTS)})
-        return scene if mass is None else scene.replace({"payload.mass": mass})
+USUAL_LOOP: Mapping[str, Any] = {
+    "cosimulation.drive": "torque", "imperfection": [{"kind": "encoder", "counts_per_turn": COUNTS}], "filter": []
+}  # fmt: skip
+"""Keys of motors that follow by a loop with encoders."""
 
-    def drive_table(self, rate: float, unit: str = "rad", counts: float | None = None) -> DriveTable:
-        """The chosen motion or cycle as a drive reads it; arguments and errors as for `flexfmu.cosim.design.plans.drive_table.drive_table`."""
-        return drive_table(Judge(self.goals, JUDGED), self.chosen.candidate, rate, unit, counts)
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """The figures that the front weighs: those of the wishes, the time first, or `FRONT`."""
-        return tuple(sorted(self.goals.wishes.front, key=lambda each: each != "time")) or FRONT
-
-    @property
-    def front(self) -> tuple[Assessment, ...]:
-        """The candidates, the given motion included, of which no other is better in every figure of `axes`; the fastest first.
-
-        A motion that misses a limit isn't better than one that keeps all. The chosen motion is always there.
-        """
-        # the chosen one first, so that none like it replaces it
-        everyone = sorted((self.given, *self.assessed), key=lambda each: (each is not self.chosen, each.time))
-        values, kept = np.array([[each.worst(name) for name in self.axes] for each in everyone]), list[int]()
-        for k, each in enumerate(everyone):
-            others = values[[other.feasible or not each.feasible for other in everyone]]
-            is_beaten = ((others <= values[k]).all(axis=1) & (others < values[k]).any(axis=1)).any()
-            is_there = np.isclose(values[kept], values[k], rtol=ALIKE, atol=0.0).all(axis=1).any()
-            if each is self.chosen or not (is_beaten or is_there):
-                kept.append(k)
-        return tuple(sorted((everyone[k] for k in kept), key=lambda each: each.time))
-
-    @property
-    def table(self) -> tuple[Assessment, ...]:
-        """The front and, to compare with, motions of the user; the fastest first."""
-        front = self.front
-        others = [each for each in self.assessed if each.candidate.method == "csv" and each not in front]
-        return tuple(sorted([*front, *others], key=lambda each: each.time))
-
-    @property
-    def missed(self) -> tuple[Limit, ...]:
-        """The limits that the chosen motion doesn't keep to."""
-        return tuple(use for use in self.chosen.uses if not use.met)
-
-    @property
-    def verdict(self) -> str:
-        """Whether the chosen motion keeps to all limits, in a sentence."""
-        if self.missed:
-            listed = [f"{use.name} {use.value:.4g} instead of {use.limit:.4g} ({use.where})" for use in self.missed]
-            so_far = " so far" if self.interrupted else ""
-            in_loop = any(use.name == "loop_residual" for use in self.missed)
-            remedy = ": finer encoders, shorter sample times or other gains leave less in the loop" if in_loop else ""
-            return f"no motion found{so_far} keeps all limits; the nearest misses {', '.join(listed)}{remedy}"
-        uses = sorted(self.chosen.uses, key=lambda use: -use.share)
-        closest = [use for use in uses if use is uses[0] or use.share > BINDING]
-        listed = [f"{use.name} {use.value:.4g} of {use.limit:.4g} ({use.where})" for use in closest]
-        return f"all limits are kept; the closest {'is' if len(closest) == 1 else 'are'} {', '.join(listed)}"
-
-    def row_units(self) -> Mapping[str, str]:
-        """Figure → unit."""
-        return {name: figure.unit for name, figure in FIGURES.items()}
-
-    def plot(self) -> Figure:
-        """What all motions need: each figure of the front over its first one; those that miss a limit are hollow."""
-        from flexfmu.cosim.reports.figure_style import INK, draw, logarithmic, style
-
-        along, *names = self.axes
-        groups = {
-            "": (self.assessed, "o", 3.5, INK),
-            "given": ((self.given,), "s", 7.0, "#1f8a5f"),
-            "chosen": ((self.chosen,), "D", 7.0, "#c7394f"),
-        }
-        with style():
-            rows = (len(names) + 1) // 2
-            drawing = draw(9.0, 2.8 * max(rows, 1.5))
-            grid = drawing.subplots(rows, min(len(names), 2), sharex=True, squeeze=False).ravel()
-            for axes, name in zip(grid, names, strict=True):
-                figure, values = FIGURES[name], [each.worst(name) for each in (*self.assessed, self.given)]
-                for label, (motions, sign, size, colour) in groups.items():
-                    for each in motions:
-                        x, y = each.worst(along), figure.displayed(each.worst(name))
-                        face = colour if each.feasible else "none"
-                        axes.plot(x, y, sign, markersize=size, color=colour, markerfacecolor=face, label=label)
-                if max(values) > MANY * min(values) > 0.0:
-                    logarithmic(axes)
-                axes.set_title(f"{figure.label} [{figure.display_unit}]", fontsize=8.5)
-            for axes in grid[-2:]:
-                axes.set_xlabel(heading(along))
-            drawing.axes[0].legend(fontsize=8)
-            drawing.suptitle(f"{self.goals.scene.name}: motions that were tried; hollow: misses a limit", fontsize=10)
-        return drawing
-
-    def rows(self) -> list[dict[str, Any]]:
-        """The front, and motions to compare with, as rows: label, method, figures, and whether all limits are kept."""
-        return [each.row for each in self.table]
+LOOPS: Mapping[str, Sequence[Mapping[str, Any]]] = {
+    "computed torque at 1 kHz": (
+        {"kind": "computed-torque", "proportional": 6400.0, "derivative": 160.0, "sample_time": SAMPLE_TIME},
+    ),
+    "PD and elastic feedforward at 1 kHz": (
+        # its derivative is that of the error, so that references are as late as encoders
+        {"kind": "pid", "proportional": 1e4, "integral": 0.0, "derivative": 100.0, "sample_time": SAMPLE_TIME},
+        {"kind": "feedforward", "robot": "flexible", "sample_time": SAMPLE_TIME},
+    ),
+}
+"""Controllers of each loop; the computed torque has a bandwidth of 80 rad/s."""
 
 
 @one_blas_thread()
@@ -222,7 +121,7 @@ def plan_scene(
         before: the planned scenes of an earlier plan, one for each way: optimal control goes on from them, and alone unless ``methods`` has more.
         processes: number of processes of the search.
         budget: time [s] after which it ends as after Ctrl-C; None for no limit.
-        robust: whether the chosen motion is judged in richer models too, see `flexfmu.cosim.design.plans.robustness`.
+        robust: whether the chosen motion is judged in richer models too.
         show: is called with what is being done.
         journal: where all that is found is kept, also from an earlier call for the same scene.
 
@@ -257,9 +156,9 @@ def plan_scene(
         methods, robust = [name for name in methods if name == "optimal"], False
     show("the given motion", None)
     PreparedScene(scene).check_size(companion=False)
-    judge, is_new = Judge(goals, JUDGED, journal), not journal.done
+    judge, is_new = Judge(goals, journal=journal), not journal.done
     try:
-        check_holding_torque(goals, {each.variation: each.values["torque"] for each in judge.given.peaks})
+        check_holding_torque(goals, dict(zip(judge.robots, judge.given.values["torque"].tolist(), strict=True)))
     except InputError:
         # another plan may begin in its folder
         if is_new:
@@ -325,3 +224,97 @@ def best(found: Sequence[Assessment], minimise: str) -> Assessment:
     """Of motions that keep to all limits the one with least of what is minimised, preferring those planned for all robots; without one the
     motion whose worst excess is least."""
     return min(found, key=lambda each: (each.excess, each.candidate.is_rough, each.worst(minimise)))
+
+
+def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOWHERE) -> Iterator[RobustnessLine]:
+    """What remains of the candidate's figures in richer models, beyond the bands, and in a loop.
+
+    Args:
+        candidate: the motion.
+        goals: what it was planned for.
+        journal: where lines are kept.
+
+    Raises:
+        TrajectoryError: the motion isn't feasible.
+        BuildError: a model's FMU can't be built.
+    """
+    # as a motion of the joints: other models don't change shapers that belong to it
+    scene, effects = candidate.scene.replace({"shaper": []}), goals.scene.effects
+    fixed = Candidate(candidate.label, candidate.method, scene, joint_motion(candidate.joints))
+    families = ("proximal_bending", "proximal_axial", "distal_bending", "distal_axial")
+    richest: dict[str, Any] = {key: value for changes in RICHER.values() for key, value in changes.items()}
+    richest |= {f"effects.{key}": max(3, getattr(effects, key)) for key in families}
+    robots = {name: (changes, 1.0, 1.0) for name, changes in RICHER.items()}
+    for name, (stiffness, damping) in BANDS.items():
+        if damping == 1.0 or not isinstance(effects.damping, NoDampingSection):
+            robots[f"{RICHEST}{name}"] = richest, stiffness, damping
+    lines: dict[str, Callable[[str], RobustnessLine]]
+    lines = {name: partial(_assessed, fixed, goals, *robot) for name, robot in robots.items()}
+    lines["finite elements"] = partial(_by_elements, fixed, goals)
+    if goals.loop is None:
+        where = f"{goals.scene.payload.mass:g} kg"
+        for name, controllers in LOOPS.items():
+            changes = {
+                **USUAL_LOOP,
+                "controller": controllers,
+                "effects.motor_inertia": effects.motor_inertia or MOTOR_INERTIA,
+            }
+            lines[name] = partial(_in_a_loop, goals.scene, changes, fixed, where)
+    else:
+        loop = with_learned_torques(goals.loop, candidate.joints, goals.scene.trajectory.dwell)
+        for mass in dict.fromkeys(goals.band):
+            where = f"{mass:g} kg"
+            lines[f"the scene's loop, {where}"] = partial(_in_a_loop, loop, _other_payload(loop, mass), fixed, where)
+    # each of them, or that there is none and why
+    content = fixed.content
+    for name, line in lines.items():
+        found, failures = list[RobustnessLine](), list[str]()
+        with noted(failures):
+            found.append(journal.kept(("robustness", name, content), RobustnessLine, partial(line, name)))
+        yield from found or [RobustnessLine(name, nan, "", note=failures[0])]
+
+
+def _assessed(
+    fixed: Candidate, goals: Goals, changes: Mapping[str, Any], stiffness: float, damping: float, name: str
+) -> RobustnessLine:
+    """The line of another model of the robot."""
+    scene = goals.scene.replace({**changes}) if changes else goals.scene
+    judge = Judge(goals_of(Variation(scene.payload.mass, stiffness, damping).of(scene)), PAYLOADS)
+    robot = {key: getattr(judge.goals.scene, key) for key in ("mechanism", "effects", "payload")}
+    found = judge.assess(replace(fixed, scene=fixed.scene.model_copy(update=robot)))
+    worst = str(found.robots[int(found.values["residual"].argmax())])
+    return RobustnessLine(name, found.residual, worst, found.torque_ratio, found.off_path, found.uses)
+
+
+def _by_elements(fixed: Candidate, goals: Goals, name: str) -> RobustnessLine:
+    """The finite elements with the planned payload: as damped, at their lowest frequency, as the planned model."""
+    assert fixed.trajectory is not None
+    scene, motion = goals.scene, fixed.trajectory
+    end = motion.evaluate([motion.duration], 0, "left")[0, 0]
+    modes = damped_modes(scene, end)
+    time = 2.0 * float(modes.ratios[0]) / (2.0 * np.pi * float(modes.frequencies[0])) if len(modes.ratios) else 0.0
+    damping = {"kind": "stiffness", "time": time} if time > 0.0 else {"kind": "none"}
+    robot = finite_element_robot(scene.replace({"effects.damping": damping}), ELEMENTS)
+    count = round((motion.duration + ELEMENT_DWELL) / STEP)
+    instants = np.append(STEP * np.arange(1.0, count), motion.duration + ELEMENT_DWELL)
+    found = simulate(robot, motion, np.unique(np.append(instants, motion.duration)), ELEMENT_STEP)
+    after = found.time >= motion.duration - 1e-9
+    rest = equilibrium(robot, end).position
+    residual = float(np.hypot(*(found.position[after] - rest).T).max())
+    note = f"{ELEMENTS} elements a link, peak torque {np.abs(found.torque).max():.4g} N·m"
+    return RobustnessLine(name, residual, f"{scene.payload.mass:g} kg", note=note)
+
+
+def _other_payload(loop: Scene, mass: float) -> Mapping[str, Any]:
+    """Keys of the scene's own loop with a payload that its feedforward doesn't know."""
+    if not loop.payload.mass:
+        return {}
+    payload = {"kind": "payload-error", "relative": mass / loop.payload.mass - 1.0}
+    return {"imperfection": [*loop.model_dump(exclude_none=True)["imperfection"], payload]}
+
+
+def _in_a_loop(scene: Scene, changes: Mapping[str, Any], fixed: Candidate, where: str, name: str) -> RobustnessLine:
+    """The line of a loop: a scene with changes."""
+    residual, note = left_in_loop(scene.replace({**changes}), fixed.joints, fixed.scene.trajectory.dwell)
+    note = f"encoders of {COUNTS:.0e} counts, {note}" if name in LOOPS else note
+    return RobustnessLine(name, residual, where, note=note)

@@ -119,6 +119,8 @@ def with_learned_torques(scene: Scene, joints: Trajectory, dwell: float = 0.0) -
     return best[1]
 
 
-def tracking_error(run: Run) -> float:
-    """Largest tracking error of both joints [rad]."""
-    return max(float(run.metrics[f"peak_tracking_error_{joint}"]) for joint in (1, 2))
+def left_in_loop(scene: Scene, joints: Trajectory, dwell: float) -> tuple[float, str]:
+    """The residual vibration [m] that a loop leaves, and its tracking error in words; arguments and errors as for `loop_run`."""
+    metrics = loop_run(scene, joints, dwell).metrics
+    error = max(float(metrics[f"peak_tracking_error_{joint}"]) for joint in (1, 2))
+    return float(metrics["residual_vibration_amplitude"]), f"tracking error {1e3 * error:.3g} mrad"

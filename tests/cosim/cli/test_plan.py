@@ -17,7 +17,8 @@ import flexfmu
 from flexfmu.cosim.cli.design import _shown_plan
 from flexfmu.cosim.design.plans import planner
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
-from flexfmu.cosim.design.plans.planner import PlanResult, plan_scene
+from flexfmu.cosim.design.plans.plan_result import PlanResult
+from flexfmu.cosim.design.plans.planner import plan_scene
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.model.scene.file import load_scene
 

@@ -224,7 +224,7 @@ def test_a_motion_clears_what_it_goes_around() -> None:
     # the chord is no way between what lies above and below it
     assert (clearance.distance(np.linspace([0.03, 0.0], [0.27, 0.0], 25)) < -0.01).all()
     # without regions everything is allowed
-    assert np.isinf(Clearance((), np.empty((0, 2)), np.empty((0, 2))).distance(np.array(kept_clear))).all()
+    assert np.isinf(Clearance(()).distance(np.array(kept_clear))).all()
 
 
 def way_of(random: np.random.Generator) -> RealArray:
@@ -273,25 +273,25 @@ def test_a_way_through_a_wall_is_as_far_off_as_the_walls_end(
     wall = Polygon.of(
         [place - 0.1 * up - side, place - 0.1 * up + side, place + beyond * up + side, place + beyond * up - side]
     )
-    passed = Clearance((wall,), np.empty((0, 2)), np.empty((0, 2)), thin=True)
+    passed = Clearance((wall,), thin=True)
     # far from it no motion of 0.1 mm would go around it
     if beyond > 12.0 * thickness / np.cos(slant):
         assert passed.passage(way) > 0.3 * beyond
         assert passed.passage(way) < 1.1 * beyond + thickness
-        assert passed.along(way, 1.0).min() < -0.3 * beyond
+        assert passed.along(way).min() < -0.3 * beyond
     # moved aside by more than the wall reaches, nothing is passed
-    clear = Clearance((Polygon.of(wall.corners - 0.2 * up),), np.empty((0, 2)), np.empty((0, 2)), thin=True)
+    clear = Clearance((Polygon.of(wall.corners - 0.2 * up),), thin=True)
     assert clear.passage(way + 0.0) == 0.0
 
 
 def test_a_corner_that_is_cut_is_not_passed_through() -> None:
     """The depth counts there, as within a margin it is allowed."""
-    box = Clearance((Polygon.of([(0, 0), (1, 0), (1, 1), (0, 1)]),), np.empty((0, 2)), np.empty((0, 2)), thin=True)
+    box = Clearance((Polygon.of([(0, 0), (1, 0), (1, 1), (0, 1)]),), thin=True)
     for depth in (1e-6, 1e-4, 1e-2):
         cut = np.array([[-1.0, 1.0 + 2 * depth], [1.0 + 2 * depth, -1.0]])[:, ::-1]
         assert box.passage(cut) == 0.0
         grazing = np.array([[-0.5, 1.0 - depth], [1.5, 1.0 - depth]])
-        assert box.along(grazing, 1e-3).min() == pytest.approx(-depth)
+        assert box.along(grazing).min() == pytest.approx(-depth)
 
 
 def test_motors_replace_the_given_motions_limits() -> None:

@@ -20,13 +20,13 @@ from hypothesis import strategies as st
 
 import flexfmu
 from flexfmu.cosim.control.blocks.code import CompiledAtPoints
+from flexfmu.cosim.design.plans import assessment
 from flexfmu.cosim.design.plans import optimal as method
-from flexfmu.cosim.design.plans import planner
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, goals_of
 from flexfmu.cosim.design.plans.optimal import flexible, optimal
-from flexfmu.cosim.design.plans.planned_files import planned_scenes, write_plan
-from flexfmu.cosim.design.plans.planner import PlanResult, plan_scene
+from flexfmu.cosim.design.plans.plan_result import PlanResult, planned_scenes, write_plan
+from flexfmu.cosim.design.plans.planner import plan_scene
 from flexfmu.cosim.design.plans.sampled_loop import loop_run, with_learned_torques
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.many.journal import FILE, WorkJournal, about_scene
@@ -199,11 +199,11 @@ def test_rms_torques_of_the_given_motion_have_its_swing_as_in_the_fmu(dwell: flo
             {"effects.damping": damping, "trajectory.dwell": dwell, "payload.mass": 4.2, "plan.limits.rms_torque": None}
         )
     )
-    (peaks,) = Judge(goals).given.peaks
+    (usual,) = Judge(goals).given.values["rms_torque"]
     robots = [RobotVariant(goals.scene, each.changes(goals.scene), CompiledAtPoints) for each in goals.variations(1)]
     squares = method._given_loads(goals, robots, ["rms_torque"])["rms_torque"][0]
     found = np.sqrt(squares / (goals.given.once.duration + dwell))
-    assert found == pytest.approx(np.array(peaks.values["rms_torque"]), rel=3e-3)
+    assert found == pytest.approx(usual, rel=3e-3)
 
 
 @pytest.mark.slow
@@ -276,7 +276,7 @@ def test_both_ways_of_a_cycle_keep_its_limits_in_the_fmu(tmp_path: Path, monkeyp
             squares[k] += rms**2 * (length + dwell) + holding**2 * (0.05 - dwell)
             time[k] += length + 0.05
     found = np.sqrt(squares / time[:, np.newaxis])
-    assert found[1] == pytest.approx(result.chosen.peaks[0].values["rms_torque"], rel=1e-4)
+    assert found[1] == pytest.approx(result.chosen.values["rms_torque"][0], rel=1e-4)
     assert (found[1] < 1.0001 * found[0]).all()
     assert time == pytest.approx([result.given.time, result.chosen.time])
     table = result.drive_table(4000.0)
@@ -379,7 +379,7 @@ def test_a_cycle_of_three_ways_needs_what_independent_runs_need(monkeypatch: pyt
     monkeypatch.setattr(method, "INTERVALS", 28)
     monkeypatch.setattr(method, "fuller_scene", lambda scene: None)
     monkeypatch.setattr(method, "PAYLOADS", (3, 1))
-    monkeypatch.setattr(planner, "JUDGED", 3)
+    monkeypatch.setattr(assessment, "JUDGED", 3)
     targets = [{"position": [0.05, 0.36], "payload": 3.0, "pause": 0.2}]
     cycle = {
         "plan.cycle": {"pause": 0.1, "targets": targets},
@@ -394,11 +394,11 @@ def test_a_cycle_of_three_ways_needs_what_independent_runs_need(monkeypatch: pyt
         ways = [(each.scene, each.joints) for each in assessed.candidate.ways]
         assert [scene.payload.mass for scene, _ in ways] == [6.0, 3.0, 0.0]
         found.append([needs_of_cycle(ways, share) for share in (0.9, 1.0, 1.1)])
-        for needs, peaks in zip(found[-1], assessed.peaks, strict=True):
+        for k, needs in enumerate(found[-1]):
             for name in ("rms_torque", "power", "torque", "energy"):
-                assert peaks.values[name] == pytest.approx(np.atleast_1d(needs[name]), rel=1e-3), name
+                assert assessed.values[name][k] == pytest.approx(np.atleast_1d(needs[name]), rel=1e-3), name
             # what the way before leaves may add to it
-            assert needs["residual"] < peaks.values["residual"][0] + 1e-9
+            assert needs["residual"] < assessed.values["residual"][k, 0] + 1e-9
             assert needs["time"] == pytest.approx(assessed.time)
     for name, most in (("rms_torque", 1.0), ("power", 1.0), ("torque", 1.0), ("energy", 1.05)):
         ratio = max(np.max(each[name] / usual[name]) for usual, each in zip(*found, strict=True))
@@ -573,7 +573,8 @@ def planned(journal: WorkJournal) -> PlanResult:
 def figures(found: PlanResult) -> list[Any]:
     """All that was assessed, and what was chosen."""
     return [
-        (each.candidate.label, each.time, each.peaks[0].values, each.uses) for each in (*found.assessed, found.chosen)
+        (each.candidate.label, {name: rows.tolist() for name, rows in each.values.items()}, each.uses)
+        for each in (*found.assessed, found.chosen)
     ]
 
 
@@ -586,7 +587,7 @@ def test_finished_units_are_not_made_again(tmp_path: Path, monkeypatch: pytest.M
         if not left[0]:
             raise MemoryError
         left[0] -= 1
-        made.append(f"{candidate.label}, {len(judge.variations)}")
+        made.append(f"{candidate.label}, {len(judge.robots)}")
         return usual(judge, candidate, **options)
 
     monkeypatch.setattr(Judge, "_judged", counted)

@@ -20,11 +20,11 @@ from hypothesis import strategies as st
 
 import flexfmu
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans import planner
-from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, Peaks, own_candidate
+from flexfmu.cosim.design.plans import assessment, planner
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, own_candidate
 from flexfmu.cosim.design.plans.goals import Variation, check_holding_torque, goals_of
-from flexfmu.cosim.design.plans.planned_files import write_plan, write_scene
-from flexfmu.cosim.design.plans.planner import FRONT, PlanResult, best, plan_scene
+from flexfmu.cosim.design.plans.plan_result import FRONT, PlanResult, write_plan, write_scene
+from flexfmu.cosim.design.plans.planner import best, plan_scene
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.experiment.scene_build import build_scene
@@ -64,7 +64,7 @@ def shaped(duration: float) -> Candidate:
 def _few_payloads() -> Iterator[None]:
     """The methods are the same with any number of payloads."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planner, "JUDGED", 3)
+        patch.setattr(assessment, "JUDGED", 3)
         yield
 
 
@@ -95,14 +95,13 @@ def test_no_motion_of_the_front_is_worse_in_everything_than_another(result: Plan
 
 def test_an_assessment_has_the_metrics_of_the_run(result: PlanResult) -> None:
     for each in (result.given, result.chosen):
-        peaks = each.peaks[-1]
-        changes = {"payload.mass": peaks.variation.payload}
+        changes = {"payload.mass": each.robots[-1].payload}
         precise = {"communication_step": 2e-4, "tolerance": 1e-8}
         run = flexfmu.run(GOALS.scene, trajectory=each.candidate.trajectory, parameters=changes, **precise)
-        assert peaks.values["residual"][0] == pytest.approx(
+        assert each.values["residual"][-1, 0] == pytest.approx(
             float(run.metrics["residual_vibration_amplitude"]), abs=1e-12
         )
-        assert peaks.values["torque"] == pytest.approx(
+        assert each.values["torque"][-1] == pytest.approx(
             [float(run.metrics[f"peak_torque_{joint}"]) for joint in (1, 2)], rel=1e-12
         )
 
@@ -132,10 +131,12 @@ def test_files_say_the_same_and_the_planned_scene_runs_to_the_stated_figures(
     scene = flexfmu.load_scene("there/planned.toml")
     assert scene.trajectory.dwell == GOALS.scene.trajectory.dwell
     run = flexfmu.run(scene, communication_step=2e-4, tolerance=1e-8)
-    nominal = next(each for each in result.chosen.peaks if math.isclose(each.variation.payload, 6.0))
+    nominal = next(k for k, each in enumerate(result.chosen.robots) if math.isclose(each.payload, 6.0))
     assert run.plan.duration == pytest.approx(result.chosen.time, abs=1e-15)
-    assert float(run.metrics["residual_vibration_amplitude"]) == pytest.approx(nominal.values["residual"][0], abs=1e-11)
-    assert float(run.metrics["peak_torque_1"]) == pytest.approx(nominal.values["torque"][0], rel=1e-9)
+    assert float(run.metrics["residual_vibration_amplitude"]) == pytest.approx(
+        result.chosen.values["residual"][nominal, 0], abs=1e-11
+    )
+    assert float(run.metrics["peak_torque_1"]) == pytest.approx(result.chosen.values["torque"][nominal, 0], rel=1e-9)
 
 
 def test_a_shaped_motion_is_written_as_keys_of_the_scene(tmp_path: Path) -> None:
@@ -168,7 +169,7 @@ def test_the_chosen_motion_misses_least_or_is_the_fastest_that_keeps_all(
     limits = [Limit(name, most, "1") for name, most in (("torque", 2.0), ("power", 50.0), ("residual", 1e-6))]
     candidate = Candidate("drawn", "search", GOALS.scene)
     found = [
-        Assessment(replace(candidate, is_rough=is_rough), (Peaks(Variation(1.0), {"time": (time,)}, {}),), tuple(each.used(s * each.limit) for each, s in zip(limits, shares, strict=True)))
+        Assessment(replace(candidate, is_rough=is_rough), (Variation(1.0),), {"time": np.array([[time]])}, {}, tuple(each.used(s * each.limit) for each, s in zip(limits, shares, strict=True)))
         for time, shares, is_rough in tried
     ]  # fmt: skip
     worst = [max(math.inf if math.isnan(each) else each for each in shares) for _, shares, _ in tried]
@@ -282,17 +283,18 @@ def test_an_empty_gripper_is_planned(band: float | list[float], heaviest: float)
     scene = SCENE.replace({"payload.mass": 0.0, "plan.payload_band": band})
     found = plan_scene(scene, methods=(), candidates=[stretched(1.2)], robust=False)
     assert found.failures == ()
-    assert max(each.variation.payload for each in found.chosen.peaks) == heaviest
+    assert max(each.payload for each in found.chosen.robots) == heaviest
     assert found.scene.payload.mass == 0.0
     run = flexfmu.run(scene, communication_step=2e-4, tolerance=1e-8)
-    assert float(run.metrics["peak_torque_1"]) == pytest.approx(found.given.peaks[0].values["torque"][0], rel=1e-6)
+    assert float(run.metrics["peak_torque_1"]) == pytest.approx(found.given.values["torque"][0, 0], rel=1e-6)
 
 
 @cache
 def _at_rest() -> tuple[dict[Variation, Any], float]:
     """Torques of the given motion, and the largest ratio of one at rest, before the motion or long after it, to them, by the FMU."""
     shares = list[float]()
-    given = {each.variation: each.values["torque"] for each in Judge(GOALS, 2).given.peaks}
+    judge = Judge(GOALS, 2)
+    given = dict(zip(judge.robots, judge.given.values["torque"], strict=True))
     scene = SCENE.replace({"trajectory.dwell": 1.5, "effects.damping": {"kind": "modal", "ratio": 0.3}})
     for variation, torques in given.items():
         recording = flexfmu.run(scene.replace({"payload.mass": variation.payload}), tolerance=1e-8).recording

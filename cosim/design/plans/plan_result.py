@@ -1,0 +1,634 @@
+"""What a plan found: the chosen motion beside the given one, its tables, pictures, page and files, and its samples for a drive.
+
+The page has how close the chosen motion comes to each limit and where, and the front.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pydantic_core
+
+from flexfmu.cosim.design.limits import Limit
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, heading, noted, shown
+from flexfmu.cosim.design.plans.clearance import interpolated, lengths
+from flexfmu.cosim.design.plans.goals import INSTANTS, LOOP_PARTS, RATES, Goals
+from flexfmu.cosim.design.plans.sampled_loop import with_learned_torques
+from flexfmu.cosim.design.scene_files import write_new
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.files import OutputFolder, to_json
+from flexfmu.cosim.engine.showing import Rows
+from flexfmu.cosim.experiment.metric import RunMetrics
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.metrics.metric_table import PLAN_FIGURES, definition
+from flexfmu.cosim.metrics.metrics import measure_run
+from flexfmu.cosim.metrics.signals import POSITION
+from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, Curve, Marker, Panel
+from flexfmu.cosim.reports.comparison import ComparedRun, first_tiles, metrics_table, signal_plots
+from flexfmu.cosim.reports.page import Page, Plot, Table
+from flexfmu.cosim.reports.plots import to_scale
+from flexfmu.cosim.reports.report import of_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.piecewise import Coordinates, spline
+from flexfmu.trajectories.table import write_table
+from flexfmu.trajectories.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FILE = "planned.toml"
+"""Usual name of the planned scene."""
+
+NAMES, COLOURS = ("given", "planned"), (PALETTE[0], PALETTE[1])
+"""Of the two motions."""
+
+DASHED, DOTTED = "5,3", "2,2"
+"""Lines of second joints, and of the keep-out region."""
+
+BORDER, DENSE, LONG = 0.2, 0.02, 2.0
+"""Border about the paths, relative to their size; distance of points of outlines, relative to that; half the length of lines [m]."""
+
+
+FRONT = ("time", "residual", "torque", "energy", "off_path")
+"""Figures that the Pareto front weighs against each other."""
+
+BINDING = 0.98
+"""Used share of a limit from which on the verdict names it."""
+
+LEAST = 1e-3
+"""Smallest residual vibration on a logarithmic axis [µm]."""
+
+ALIKE = 1e-3
+"""Relative difference of all figures of a front below which the front has one of two motions."""
+
+ANGLES: Mapping[str, float] = {"rad": 1.0, "deg": 180.0 / math.pi, "turn": 0.5 / math.pi}
+"""Unit of angles → how many of it are 1 rad."""
+
+SAMPLE_RATES = 10.0, 1e6
+"""Lowest and highest rate [1/s]."""
+
+SHARE = 1e-9
+"""Share of a sample by which a motion may be longer than its last one."""
+
+
+@dataclass(frozen=True, eq=False)
+class DriveTable:
+    """Samples of the motion of both joints, the last ones at rest.
+
+    Attributes:
+        rate: samples a second.
+        unit: of the angles: rad, deg, turn or count.
+        per_radian: how many of it are 1 rad.
+        values: positions, velocities and accelerations (3, N, 2) in the unit and s, whole numbers of counts.
+        torque: feedforward of both motors for the scene's own payload (N, 2) [N m].
+        use: the residual vibration that the samples leave over the bands, with its limit: the FMU follows quintics through position,
+            velocity and acceleration of each sample; infinite where the robot can't follow them.
+    """
+
+    rate: float
+    unit: str
+    per_radian: float
+    values: RealArray
+    torque: RealArray
+    use: Limit
+
+    @property
+    def time(self) -> RealArray:
+        """Instants of the samples (N,) [s]."""
+        return np.arange(len(self.torque)) / self.rate
+
+    def to_csv(self) -> str:
+        """A line for each sample; the header has units, FMU-like names joint by joint."""
+        units = self.unit, f"{self.unit}/s", f"{self.unit}/s2", "N.m"
+        kinds = ("position", "velocity", "acceleration", "torque")
+        names = [f"joint{j}.{kind} [{unit}]" for kind, unit in zip(kinds, units, strict=True) for j in (1, 2)]
+        lines, whole = [",".join(["time [s]", *names])], self.unit == "count"
+        for time, *rows in zip(self.time.tolist(), *self.values.tolist(), self.torque.tolist(), strict=True):
+            angles = [str(int(value)) if whole else f"{value:.12g}" for row in rows[:-1] for value in row]
+            lines.append(",".join([f"{time:.9g}", *angles, *(f"{value:.7g}" for value in rows[-1])]))
+        return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True)
+class RobustnessLine:
+    """What remains of a plan's promise in another model.
+
+    Attributes:
+        model: the model.
+        residual: worst residual vibration [m], and for which robot.
+        where: that robot.
+        torque_ratio: worst ratio of peak torques to the given motion's in the same model; NaN if it isn't compared.
+        off_path: largest distance of the end effector from the given path [m]; NaN if it isn't known.
+        uses: use of each limit; empty if the limits aren't judged here.
+        note: what else to know, in a few words.
+    """
+
+    model: str
+    residual: float
+    where: str
+    torque_ratio: float = math.nan
+    off_path: float = math.nan
+    uses: tuple[Limit, ...] = ()
+    note: str = ""
+
+    @property
+    def missed(self) -> tuple[str, ...]:
+        """Names of the limits that don't hold."""
+        return tuple(use.name for use in self.uses if not use.met)
+
+
+@dataclass(frozen=True, eq=False)
+class PlanResult(Rows):
+    """A planned motion, and what it was chosen from.
+
+    Attributes:
+        goals: what it was planned for.
+        given: the scene's own motion.
+        chosen: the best motion that keeps to all limits, or the one that misses them least, see `best`.
+        assessed: all candidates, in the order in which they were found.
+        failures: message of each candidate or method that failed.
+        interrupted: whether the plan ended before its methods did.
+        cpu_time: processor time of planning [s], of all processes.
+        robustness: what remains of the chosen motion's figures in richer models, beyond the bands, and in a loop.
+    """
+
+    goals: Goals
+    given: Assessment
+    chosen: Assessment
+    assessed: tuple[Assessment, ...]
+    failures: tuple[str, ...]
+    interrupted: bool
+    cpu_time: float
+    robustness: tuple[RobustnessLine, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return the chosen motion beside the given one, in a few lines."""
+        lines = [f"PlanResult of {self.goals.scene.name}: {self.chosen.candidate.label}"]
+        chosen, given = self.chosen.metrics, self.given.metrics
+        for name in (*FRONT, "rms_torque", "power"):
+            unit = definition(name).display_unit
+            lines.append(f"  {name}: {shown(name, chosen[name])} {unit} (given {shown(name, given[name])})")
+        return "\n".join([*lines, f"  {self.verdict}"])
+
+    @property
+    def judge(self) -> Judge:
+        """Judges further motions; what it has judged before it knows."""
+        return Judge(self.goals)
+
+    @cached_property
+    def ways(self) -> tuple[tuple[Assessment, Assessment], ...]:
+        """The given and the chosen motion of each way of a cycle, from rest; empty for a single motion."""
+        pairs = (self.judge.of_ways(each.candidate, given=each is self.given) for each in (self.given, self.chosen))
+        return tuple(zip(*pairs, strict=True))
+
+    @property
+    def metrics(self) -> RunMetrics:
+        """The figures of the chosen motion, the worst within the bands."""
+        return self.chosen.metrics
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene with the chosen motion; a motion of the joints is in ``chosen.candidate.trajectory``."""
+        scene, mass, loop = self.chosen.candidate.scene, self.goals.payload, self.goals.loop
+        if loop is not None:
+            # the motion, followed by the controllers
+            loop = with_learned_torques(loop, self.chosen.candidate.joints, scene.trajectory.dwell)
+            scene = scene.model_copy(update={key: getattr(loop, key) for key in ("cosimulation", *LOOP_PARTS)})
+        return scene if mass is None else scene.replace({"payload.mass": mass})
+
+    def drive_table(self, rate: float, unit: str = "rad", counts: float | None = None) -> DriveTable:
+        """The chosen motion or cycle as a drive reads it.
+
+        Args:
+            rate: samples a second; the last one of a cycle is that before the first one.
+            unit: of the angles, one of `ANGLES`; without meaning for counts.
+            counts: encoder counts of one turn of a joint, to which positions, velocities and accelerations are rounded; None for no rounding.
+
+        Raises:
+            InputError: a rate or a number of counts out of range, or an unknown unit.
+            TrajectoryError, ResultsError: the motion can't be planned or run.
+        """
+        check_drive(rate, unit, counts)
+        per_radian = ANGLES[unit] if counts is None else counts * ANGLES["turn"]
+        values, torques, parts = list[RealArray](), list[RealArray](), list[Candidate]()
+        judge, candidate = self.judge, self.chosen.candidate
+        for goals, way in zip(judge.goals.ways or (judge.goals,), candidate.ways or (candidate,), strict=True):
+            run = way.prepared(step=1.0 / rate).run()
+            joints = run.plan.joints
+            # up to the first sample at rest; in a cycle up to that before the next motion
+            moving = math.ceil(joints.duration * rate - SHARE)
+            steps = moving
+            if judge.goals.ways:
+                steps = max(steps, math.ceil((joints.duration + goals.standstill) * rate - SHARE) - 1)
+            instants = np.arange(steps + 1) / rate
+            angles = per_radian * joints.evaluate(np.minimum(instants, joints.duration), 2, "right")
+            angles[1:, instants >= joints.duration - SHARE / rate] = 0.0
+            values.append(angles if counts is None else np.rint(angles))
+            recording = run.recording
+            torque = [np.interp(instants, recording.time, recording[f"joint{joint}.torque"].values) for joint in (1, 2)]
+            torques.append(np.column_stack(torque))
+            # the motion of a drive that goes through each sample by quintics
+            motion = spline(instants[: moving + 1], values[-1][:, : moving + 1] / per_radian, coordinates="joints")
+            parts.append(Candidate(f"{rate:g} samples a second", "csv", goals.scene, motion))
+        use, failures = judge.goals.limits["residual"], list[str]()
+        with noted(failures, "the robot can't follow them"):
+            use = judge.assess(replace(parts[0], ways=tuple(parts) if judge.goals.ways else ())).uses[0]
+        use = replace(use.used(math.inf, failures[0]) if failures else use, figure="residual of the samples")
+        unit = unit if counts is None else "count"
+        return DriveTable(rate, unit, per_radian, np.concatenate(values, axis=1), np.concatenate(torques), use)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The figures that the front weighs: those of the wishes, the time first, or `FRONT`."""
+        return tuple(sorted(self.goals.wishes.front, key=lambda each: each != "time")) or FRONT
+
+    @property
+    def front(self) -> tuple[Assessment, ...]:
+        """The candidates, the given motion included, of which no other is better in every figure of `axes`; the fastest first.
+
+        A motion that misses a limit isn't better than one that keeps all. The chosen motion is always there.
+        """
+        # the chosen one first, so that none like it replaces it
+        everyone = sorted((self.given, *self.assessed), key=lambda each: (each is not self.chosen, each.time))
+        values, kept = np.array([[each.worst(name) for name in self.axes] for each in everyone]), list[int]()
+        for k, each in enumerate(everyone):
+            others = values[[other.feasible or not each.feasible for other in everyone]]
+            is_beaten = ((others <= values[k]).all(axis=1) & (others < values[k]).any(axis=1)).any()
+            is_there = np.isclose(values[kept], values[k], rtol=ALIKE, atol=0.0).all(axis=1).any()
+            if each is self.chosen or not (is_beaten or is_there):
+                kept.append(k)
+        return tuple(sorted((everyone[k] for k in kept), key=lambda each: each.time))
+
+    @property
+    def table(self) -> tuple[Assessment, ...]:
+        """The front and, to compare with, motions of the user; the fastest first."""
+        front = self.front
+        others = [each for each in self.assessed if each.candidate.method == "csv" and each not in front]
+        return tuple(sorted([*front, *others], key=lambda each: each.time))
+
+    @property
+    def missed(self) -> tuple[Limit, ...]:
+        """The limits that the chosen motion doesn't keep to."""
+        return self.chosen.missed
+
+    @property
+    def verdict(self) -> str:
+        """Whether the chosen motion keeps to all limits, in a sentence."""
+        if self.missed:
+            listed = [f"{use.name} {use.value:.4g} instead of {use.limit:.4g} ({use.where})" for use in self.missed]
+            so_far = " so far" if self.interrupted else ""
+            in_loop = any(use.name == "loop_residual" for use in self.missed)
+            remedy = ": finer encoders, shorter sample times or other gains leave less in the loop" if in_loop else ""
+            return f"no motion found{so_far} keeps all limits; the nearest misses {', '.join(listed)}{remedy}"
+        uses = sorted(self.chosen.uses, key=lambda use: -use.share)
+        closest = [use for use in uses if use is uses[0] or use.share > BINDING]
+        listed = [f"{use.name} {use.value:.4g} of {use.limit:.4g} ({use.where})" for use in closest]
+        return f"all limits are kept; the closest {'is' if len(closest) == 1 else 'are'} {', '.join(listed)}"
+
+    def row_units(self) -> Mapping[str, str]:
+        """Figure → unit."""
+        return {name: figure.unit for name, figure in PLAN_FIGURES.items()}
+
+    def standing(self, found: Assessment, most: int | None = None) -> str:
+        """Whether a motion keeps to the limits, what it needs of those that it misses, and whether it is the chosen one.
+
+        Of the limits that it misses there are so many, the worst ones; None for all.
+        """
+        missed = [f"{use.name} {use.share:.3g}x" for use in sorted(found.missed, key=lambda use: -use.share)]
+        more = f" and {len(missed) - most} more" if most is not None and len(missed) > most else ""
+        text = f"misses {', '.join(missed[:most])}{more}" if missed else "kept"
+        return f"{text}, chosen" if found is self.chosen else text
+
+    def front_plot(self, motions: Sequence[Assessment], caption: str = "") -> Plot:
+        """What motions need: each other figure of the front over its first one."""
+        along, *names = self.axes
+        panels, marked = list[Panel](), {self.given: "given", self.chosen: "chosen"}
+        for name in names:
+            is_residual, curves = name == "residual", list[Curve]()
+            # logarithmic for residual vibrations
+            values = {each: definition(name).displayed(each.worst(name)) for each in motions}
+            places = {each: (each.worst(along), max(y, LEAST) if is_residual else y) for each, y in values.items()}
+            for is_kept, group, colour in ((True, "limits kept", PALETTE[0]), (False, "limits missed", PALETTE[1])):
+                if some := [each for each in places if each.feasible == is_kept]:
+                    x, y = np.array([places[each] for each in some]).T
+                    notes = [f"{each.candidate.label}: {self.standing(each)}" for each in some]
+                    curves.append(Curve(x, y, group, colour, width=0.0, dot="disc", notes=notes))
+            # discs about the given and the chosen motion, with their names in the first panel
+            markers = [
+                Marker(*places[each], 11.0, INK, 0.25, text="" if panels else text, offset=(9.0, 3.0))
+                for each, text in marked.items()
+                if each in places
+            ]
+            scale, level = ("y", 1e6 * self.goals.wishes.residual) if is_residual else ("", None)
+            label = heading(name).replace(" [", "\n[")
+            panels.append(Panel(label, curves, markers, is_function=False, logarithmic=scale, level=level))
+        return Plot("front", "Pareto front", caption, tuple(panels), heading(along), 330.0)
+
+    def plot(self) -> Figure:
+        """What all motions need that were tried, beside the given and the chosen one."""
+        from flexfmu.cosim.reports.figure_style import figure_of  # Matplotlib takes longer than most commands
+
+        title = f"{self.goals.scene.name}: motions that were tried"
+        return figure_of([self.front_plot((self.given, *self.assessed))], title)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The front, and motions to compare with, as rows: label, method, figures, and whether all limits are kept."""
+        return [each.row for each in self.table]
+
+
+def check_drive(rate: float, unit: str, counts: float | None) -> None:
+    """Refuse what no drive takes; arguments and errors as for `PlanResult.drive_table`."""
+    if not SAMPLE_RATES[0] <= rate <= SAMPLE_RATES[1]:
+        raise InputError(
+            f"the rate of a drive's table must be {SAMPLE_RATES[0]:g} to {SAMPLE_RATES[1]:g} samples a second, got {rate:g}"
+        )
+    if unit not in ANGLES:
+        raise InputError(f"angles of a drive's table are in {', '.join(ANGLES)}, got {unit!r}")
+    if counts is not None and not (counts >= 1.0 and float(counts).is_integer()):
+        raise InputError(f"the encoder's counts of a turn are a whole number from 1 on, got {counts:g}")
+
+
+def planned_scenes(folder: Path) -> list[Scene]:
+    """The planned scenes of an earlier plan's folder, one for each way.
+
+    Raises:
+        InputError: there are none.
+        SceneError: a scene can't be read.
+    """
+    paths = [folder / FILE] if (folder / FILE).exists() else []
+    if not paths:
+        paths = sorted(folder.glob("planned-*.toml"), key=lambda path: int(path.stem.rpartition("-")[2]))
+    if not paths:
+        raise InputError(f"{folder} has no {FILE} of an earlier plan: name the folder that `flexfmu plan` wrote to")
+    return [load_scene(path) for path in paths]
+
+
+def write_scene(result: PlanResult, path: Path) -> list[Path]:
+    """Write the planned scene; a motion of the joints stands in a CSV file beside it, of the same name.
+
+    Args:
+        result: the plan.
+        path: the scene file; those of the ways of a cycle have its name with -1, -2 and so on behind it.
+
+    Returns:
+        The written files.
+
+    Raises:
+        ResultsError: a file can't be written.
+        TrajectoryError: the motion can't be written.
+    """
+    chosen, paths = result.chosen.candidate, [path]
+    scenes = [(result.scene, chosen.trajectory)]
+    if chosen.ways:
+        scenes = [(way.scene, way.trajectory) for way in chosen.ways]
+        paths = [path.with_stem(f"{path.stem}-{number}") for number in range(1, len(scenes) + 1)]
+    return [each for one, there in zip(scenes, paths, strict=True) for each in _write_motion(result, *one, there)]
+
+
+def _write_motion(result: PlanResult, scene: Scene, trajectory: Trajectory | None, path: Path) -> list[Path]:
+    """Write the scene of a single motion, or of one way of a cycle."""
+    data = scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    data["name"] = f"{scene.name}-planned"
+    if scene.effects.choice is not None and None in scene.effects.choice.error:
+        del data["effects"]["choice"]  # TOML has no null for errors that aren't estimated
+    written = list[Path]()
+    if trajectory is not None:
+        table = path.with_suffix(".csv")
+        moving: Coordinates = getattr(trajectory, "coordinates", "end-effector")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_table(table, trajectory, moving)
+        data["trajectory"] = {
+            "kind": "table", "file": table.name, "coordinates": moving, "degree": 7, "dwell": scene.trajectory.dwell
+        }  # fmt: skip
+        data.pop("shaper", None)
+        written.append(table)
+    chosen, given, (low, high) = result.chosen, result.given, result.goals.band
+    comments = (
+        f"Planned by `flexfmu plan` for {result.goals.scene.name}: {chosen.candidate.label} ({chosen.candidate.method}).",
+        f"Total time {chosen.time:.6g} s (given {given.time:.6g} s), residual vibration at most {1e6 * chosen.residual:.3g} um",
+        f"(given {1e6 * given.residual:.3g} um) over payloads of {low:g} to {high:g} kg.",
+        result.verdict[0].upper() + result.verdict[1:] + ".",
+    )
+    return [write_new(data, path, comments), *written]
+
+
+def write_plan(result: PlanResult, folder: Path) -> list[Path]:
+    """Write planned scene, front and report into a folder.
+
+    Returns:
+        The files: ``planned.toml`` (with ``planned.csv`` for a motion of the joints), ``front.csv``, ``plan.json`` and
+        ``plan.html``.
+
+    Raises:
+        ResultsError: a file can't be written.
+    """
+    out = OutputFolder(folder)
+    out.prepare()
+    written = write_scene(result, folder / FILE)
+    texts = {"front.csv": result.to_csv(), "plan.json": to_json(summary(result)), "plan.html": plan_page(result)}
+    return written + [out.write(name, text) for name, text in texts.items()]
+
+
+def summary(result: PlanResult) -> dict[str, Any]:
+    """The plan as plain data, in SI units; None for what isn't known."""
+
+    def figures(each: Assessment) -> dict[str, Any]:
+        keys = "name", "value", "limit", "unit", "where", "met"
+        return each.row | {"limits": [{key: getattr(use, key) for key in keys} for use in each.uses]}
+
+    data = {
+        "scene": result.goals.scene.name,
+        "minimise": result.goals.wishes.minimise,
+        "payloads": list(result.goals.band),
+        "given": figures(result.given),
+        "chosen": figures(result.chosen),
+        "front": [figures(each) for each in result.front],
+        "tried": [
+            {key: each.row[key] for key in ("motion", "method", "time")}
+            | {"excess": each.excess, "missed": {use.name: use.share for use in each.missed}}
+            for each in result.assessed
+        ],
+        "compared": [figures(each) for each in result.table if each not in result.front],
+        "ways": [[figures(each) for each in pair] for pair in result.ways],
+        "verdict": result.verdict,
+        "interrupted": result.interrupted,
+        "failures": list(result.failures),
+        "robustness": [
+            {**{key: value for key, value in vars(line).items() if key != "uses"}, "missed": list(line.missed)}
+            for line in result.robustness
+        ],
+        "cpu_time": result.cpu_time,
+    }
+    plain: dict[str, Any] = pydantic_core.from_json(pydantic_core.to_json(data, inf_nan_mode="null"))
+    return plain
+
+
+def plan_page(result: PlanResult) -> str:
+    """The page of a plan as HTML.
+
+    Raises:
+        ResultsError: a run for the signals failed.
+    """
+    tables = [summary_table(result), *ways_table(result), limits_table(result.chosen), front_table(result)]
+    tables += [tried_table(result), *robustness_table(result)]
+    caption = "The motions of the table. Dashed: the limit of the residual vibration."
+    plots, compared = [result.front_plot(result.table, caption)], list[ComparedRun]()
+    every = result.goals.ways or (result.goals,)
+    for number, (goals, pair) in enumerate(zip(every, result.ways or [(result.given, result.chosen)], strict=True), 1):
+        runs = [each.candidate.prepared().run() for each in pair]
+        way = f", way {number}" if result.ways else ""
+        for name, run in zip(NAMES, runs, strict=True):
+            compared.append(ComparedRun(f"{name}{way}", run.recording, measure_run(run), run.plan.duration))
+        plots += [_path_plot(goals, runs, way), _references_plot(result, runs, way)]
+    low, high = result.goals.band
+    # what was planned, and whether it keeps to all limits
+    chosen = result.chosen.candidate
+    lead = f"{chosen.label} ({chosen.method}), for payloads of {low:.4g} to {high:.4g} kg: {result.verdict}."
+    lead += " Stopped before the end: this is the best motion so far." if result.interrupted else ""
+    title, frame = f"{result.goals.scene.name}: planned motion", of_scene(runs[-1].scene, runs[-1])
+    tables.append(metrics_table(compared))
+    return Page(title, lead, [*plots, *signal_plots(compared)], tables, first_tiles(compared), **frame).html
+
+
+def summary_table(result: PlanResult) -> Table:
+    """Worst figures over the bands, of the given and the chosen motion."""
+    rows = []
+    for name, figure in PLAN_FIGURES.items():
+        if name == "clearance":
+            continue
+        one, other = (each.worst(name) for each in (result.given, result.chosen))
+        ratio = f"{other / one:.3g}" if one else "-"
+        rows.append([f"{figure.label} [{figure.display_unit}]", shown(name, one), shown(name, other), ratio])
+    note = f"Worst of all robots within the bands; the motion may enter the keep-out region by {1e3 * result.goals.wishes.margin:g} mm."
+    return Table("Planned motion", ["", *NAMES, "ratio"], rows, note)
+
+
+SHOWN = ("time", "residual", "torque", "rms_torque", "power", "energy", "jerk", "off_path")
+"""Figures that tables of several motions have."""
+
+
+def motions_table(
+    result: PlanResult,
+    title: str,
+    motions: Sequence[Assessment],
+    note: str,
+    figures: Sequence[str] = SHOWN,
+    *,
+    is_brief: bool = False,
+) -> Table:
+    """Motions with figures, and whether they keep to the limits; a brief table has no method, and of what is missed the worst."""
+    header = ["Motion", *([] if is_brief else ["Method"]), *map(heading, figures), "Limits"]
+    rows = []
+    for each in motions:
+        names = [each.candidate.label, *([] if is_brief else [each.candidate.method])]
+        rows.append([*names, *_shown(each, figures), result.standing(each, 1 if is_brief else None)])
+    return Table(title, header, rows, note)
+
+
+def _shown(found: Assessment, figures: Sequence[str]) -> list[str]:
+    """The cells of figures."""
+    return [shown(name, found.worst(name)) for name in figures]
+
+
+def ways_table(result: PlanResult) -> list[Table]:
+    """What each way of a cycle needs, of the given and the chosen one, the worst of its payloads; nothing for a single motion."""
+    rows, figures = [], SHOWN[:6]
+    for number, pair in enumerate(result.ways, 1):
+        for name, each in zip(NAMES, pair, strict=True):
+            masses = [robot.payload for robot in each.robots]
+            payloads = dict.fromkeys(f"{mass:.4g}" for mass in (min(masses), max(masses)))
+            rows.append([f"{number}, {name}", " to ".join(payloads), *_shown(each, figures)])
+    pauses = ", ".join(f"{goals.pause:g} s" for goals in result.goals.ways)
+    header = ["Way", "Payloads [kg]", *map(heading, figures)]
+    note = f"Each from rest, the worst of its payloads; pauses after them: {pauses}."
+    return [Table("Ways of the cycle", header, rows, note)] if rows else []
+
+
+def limits_table(found: Assessment) -> Table:
+    """How close a motion comes to each limit, and where."""
+    rows = []
+    for use in found.uses:
+        unit, share, kept = "-" if use.unit == "1" else use.unit, f"{100 * use.share:.1f} %", "yes" if use.met else "no"
+        rows.append([use.name, f"{use.value:.4g}", f"{use.limit:.4g}", unit, share, kept, use.where])
+    header = ["Limit", "Value", "At most", "Unit", "Used", "Kept", "Where"]
+    return Table("Limits", header, rows, "Worst over all robots of the bands. Clearance: depth in the keep-out region.")
+
+
+def front_table(result: PlanResult) -> Table:
+    """The front and the motions to compare with, the fastest first."""
+    note = f"No other motion found beats one of these in every figure of {', '.join(result.axes)}."
+    if len(result.table) > len(result.front):
+        note = "Motions that no other one beats in every figure, and for comparison those of other planners and files."
+    return motions_table(result, "Pareto front", result.table, note)
+
+
+def tried_table(result: PlanResult) -> Table:
+    """All motions that were tried, those nearest to the limits first."""
+    tried = sorted(result.assessed, key=lambda each: (each.excess, each.time))
+    note = "Of what is missed, the largest share of its limit."
+    return motions_table(result, "Motions that were tried", tried, note, SHOWN[:2])
+
+
+def robustness_table(result: PlanResult) -> list[Table]:
+    """The chosen motion in other models; nothing without them."""
+    rows = []
+    for line in result.robustness:
+        values = line.residual, line.torque_ratio, line.off_path
+        factors = 1e6, 1.0, 1e3
+        cells = ["-" if math.isnan(value) else f"{k * value:.3g}" for value, k in zip(values, factors, strict=True)]
+        limits = f"misses {', '.join(line.missed)}" if line.missed else "kept" if line.uses else line.note
+        rows.append([line.model, cells[0], line.where, *cells[1:], limits])
+    header = ["Model", "Residual [µm]", "Worst for", "Torque ratio", "Off path [mm]", "Limits"]
+    note = "Torques are relative to the given motion's in the same model."
+    return [Table("In other models", header, rows, note)] if rows else []
+
+
+def _path_plot(goals: Goals, runs: Sequence[Run], way: str = "") -> Plot:
+    """The paths of the end effector, and what it keeps clear of."""
+    paths = [np.column_stack([run.recording[name].values for name in POSITION]) for run in runs]
+    curves = [
+        Curve(path[:, 0], path[:, 1], name, colour) for name, colour, path in zip(NAMES, COLOURS, paths, strict=True)
+    ]
+    low, high = (pick(np.concatenate(paths), axis=0) for pick in (np.min, np.max))
+    border = BORDER * float((high - low).max())
+    outlines = [np.vstack([each.corners, each.corners[:1]]) for each in goals.clearance.regions]
+    outlines += [origin + np.outer([-LONG, LONG], [-y, x]) for origin, (x, y) in goals.clearance.lines]
+    for outline in outlines:
+        # with more points between them, those near to the paths
+        length = lengths(outline)
+        points = interpolated(outline, np.union1d(length, np.arange(0.0, length[-1], DENSE * border)), length)
+        is_near = np.all((points >= low - border) & (points <= high + border), axis=1)
+        if is_near.any():
+            label = "" if len(curves) > len(paths) else "keep-out"
+            x, y = np.where(is_near, points.T, np.nan)
+            curves.append(Curve(x, y, label, GREY, width=1.0, dashes=DOTTED, is_read=False))
+    caption = "With the scene's own payload; dotted: regions to stay out of and lines not to cross."
+    panel = Panel(label="y [m]", curves=curves, is_to_scale=True, is_function=False)
+    return to_scale(f"path{way[-1:]}", f"Path of the end effector{way}", caption, panel)
+
+
+def _references_plot(result: PlanResult, runs: Sequence[Run], way: str = "") -> Plot:
+    """Speed, acceleration and jerk of the joint references, with their limits."""
+    panels = list[Panel]()
+    for order, name in enumerate(RATES, start=1):
+        curves = []
+        for motion, colour, run in zip(NAMES, COLOURS, runs, strict=True):
+            joints = run.plan.joints
+            instants = np.linspace(0.0, joints.duration, INSTANTS)
+            values = joints.evaluate(instants, order, "left")[order]
+            for joint, dashes in enumerate(("", DASHED)):
+                label = f"{motion} {joint + 1}"
+                curves.append(Curve(instants, values[:, joint], label, colour, dashes=dashes))
+        usual = np.array(result.given.worst(name))
+        level = float(result.goals.limit(name, usual)) if name in result.goals.limits else None
+        panels.append(Panel(heading(name).replace(" [", "\n["), curves, level=level))
+    caption = "Both joints of both motions. Dashed: the limit, where it is near."
+    return Plot(f"planned-references{way[-1:]}", f"Joint references{way}", caption, tuple(panels), height=330.0)
