@@ -96,7 +96,7 @@ class Marker:
     shape: Literal["disc", "square"] = "disc"
     text: str = ""
     offset: tuple[float, float] = (0.0, 0.0)
-    anchor: Literal["start", "middle"] = "start"
+    anchor: Literal["start", "middle", "end"] = "start"
     group: str = ""
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter
+from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from flexfmu.cosim.engine.drawing import NotebookFigure
 from flexfmu.cosim.engine.files import replacing
@@ -28,6 +28,9 @@ COLOURS = {f"var({name})": colour for name, colour in re.findall(r"(--\w+): (#\w
 
 WIDTH, HEADING, TITLE, LETTERS = 460.0, 58.0, 26.0, 92
 """Width of a plot, height of what stands above and below its panels and of a figure's title [pt], and letters across a plot's legend."""
+
+STAIRS = 6
+"""Heights at which the texts of marks stand, one after the other."""
 
 DASHES = (0.0, (4.0, 3.0))
 """Of levels and marks."""
@@ -98,7 +101,7 @@ def figure_of(plots: Iterable[Plot], title: str = "", columns: int = 1) -> Figur
     heights = [max(max(each.height, 80.0 * len(each.panels)) for each in row) + HEADING for row in rows]
     with style():
         figure = draw(min(columns, len(shown)) * WIDTH / 72.0, (sum(heights) + TITLE * bool(title)) / 72.0)
-        figure.suptitle(title, fontsize=10)
+        figure.suptitle(title, fontsize=10, wrap=True)
         grid = figure.add_gridspec(len(rows), len(rows[0]), height_ratios=heights)
         for number, plot in enumerate(shown):
             cells, labelled = grid[divmod(number, columns)].subgridspec(len(plot.panels), 1), dict[str, Any]()
@@ -106,7 +109,7 @@ def figure_of(plots: Iterable[Plot], title: str = "", columns: int = 1) -> Figur
             panels += [figure.add_subplot(cells[k, 0], sharex=panels[0]) for k in range(1, len(plot.panels))]
             for axes, panel in zip(panels, plot.panels, strict=True):
                 draw_panel(axes, panel, plot.x_label if axes is panels[-1] else "")
-                axes.tick_params(labelbottom=axes is panels[-1])
+                axes.tick_params(which="both", labelbottom=axes is panels[-1])
                 for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
                     labelled.setdefault(label, handle)
             # the legend stands above, where no curve is, with the title
@@ -132,34 +135,42 @@ def draw_panel(axes: Axes, panel: chart.Panel, x_label: str = "") -> None:
             alpha=curve.opacity, marker=sign, markersize=size, label=curve.label or None,
         )  # fmt: skip
         if curve.fill:
-            axes.fill(curve.x, curve.y, color=colour, alpha=curve.fill, linewidth=0.0)
+            (line,), (area,) = (
+                axes.lines[-1:],
+                axes.fill(curve.x, curve.y, color=colour, alpha=curve.fill, linewidth=0.0),
+            )
+            area.set_label(str(line.get_label()))
+            line.set_label(None)
     # levels and marks with their texts at the top, in turn lower
     if panel.level is not None:
         axes.axhline(panel.level, color=GREY, linewidth=1.0, linestyle=DASHES)
     small: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8}
     for number, (x, text) in enumerate(panel.marks):
         axes.axvline(x, color=GREY, linewidth=1.0, linestyle=DASHES)
-        below = (3.0, -3.0 - 10.0 * (number % 2))
+        below = (3.0, -3.0 - 10.0 * (number % STAIRS))
         axes.annotate(text, (x, 1.0), below, xycoords=("data", "axes fraction"), va="top", color=GREY, **small)
     for each in panel.markers:
         colour, sign = COLOURS.get(each.colour, each.colour), {"disc": "o", "square": "s"}[each.shape]
         if each.size:
             axes.plot(each.x, each.y, sign, markersize=0.8 * each.size, color=colour, alpha=each.opacity, mew=0.0)
-        across = {"start": "left", "middle": "center"}[each.anchor]
-        axes.annotate(each.text, (each.x, each.y), (each.offset[0], -each.offset[1]), ha=across, **small)
+        across = {"start": "left", "middle": "center", "end": "right"}[each.anchor]
+        axes.annotate(each.text, (each.x, each.y), (each.offset[0], -each.offset[1]), ha=across, color=colour, **small)
     # axes
     axes.margins(x=0.01 if panel.is_function else 0.05)
     for name, axis in zip("xy", (axes.xaxis, axes.yaxis), strict=True):
         if name in panel.logarithmic:
             axes.set(**{f"{name}scale": "log"})
-            axis.set_major_formatter(PlainNumbers())
-            axis.set_minor_formatter(PlainNumbers())
+            # 4 and 6 have no room beside each other
+            axis.set_major_formatter(PlainNumbers("46" if name == "x" else ""))
+            axis.set_minor_formatter(PlainNumbers("46" if name == "x" else ""))
+    if "°" in panel.label:
+        axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 1.5, 3, 4.5, 9, 10]))
     if panel.limits is not None:
         axes.set_xlim(panel.limits)
     if panel.from_zero or panel.least is not None:
         axes.set_ylim(bottom=0.0 if panel.least is None else max(panel.least, axes.get_ylim()[0]))
     if panel.is_to_scale:
-        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_aspect("equal")
     axes.set(xlabel=x_label, ylabel=panel.label)
 
 
@@ -181,11 +192,13 @@ def mark_end(axes: Axes, duration: float, text: str = "end of motion") -> None:
 class PlainNumbers(LogFormatter):
     """0.1, 10 and 20 instead of powers of ten, as many as there is room for; each axis needs its own formatter, which follows its range."""
 
-    def __init__(self) -> None:
+    def __init__(self, skipped: str = "") -> None:
+        """Leave out numbers that begin with some digits."""
         super().__init__(labelOnlyBase=False, minor_thresholds=(2.0, 0.5))
+        self.skipped = skipped
 
     def __call__(self, x: float, pos: int | None = None) -> str:
-        return f"{x:g}" if super().__call__(x, pos) else ""
+        return f"{x:g}" if super().__call__(x, pos) and f"{x:e}"[0] not in self.skipped else ""
 
 
 def logarithmic(axes: Axes) -> None:

@@ -65,7 +65,7 @@ def diagram(
         lines: what is drawn.
         duration: simulated time [s].
         marks: errors at which dashed lines are drawn, and their texts.
-        markers: settings that stand out; others aren't joined by lines then.
+        markers: texts, and settings that stand out; others aren't joined by lines then.
     """
     # the axes reach to the markers as well
     x, y = np.array([(each.x, each.y) for each in markers]).reshape(-1, 2).T
@@ -76,7 +76,7 @@ def diagram(
         good, failed = ([each for each in trials if each.failed is wanted] for wanted in (False, True))
         place = points(good)
         notes = [f"{each.label}: {duration / (each.time or 1.0):.3g} times real time. {each.note}" for each in good]
-        width = 0.0 if markers and line != FRONT else 1.4
+        width = 0.0 if any(each.size for each in markers) and line != FRONT else 1.4
         curves.append(Curve(place[:, 0], place[:, 1], line, colour, width, dot="disc", notes=notes, dashes=dashes))
         # what failed, at real time and an error of 1
         if failed:

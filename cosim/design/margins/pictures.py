@@ -1,4 +1,4 @@
-"""Bode, Nyquist and root-locus diagrams of a sampled loop with its margins, as Matplotlib figures.
+"""Bode, Nyquist and root-locus diagrams of a sampled loop with its margins, for pages and files.
 
 The loop with the smallest disk margin has a colour and its margins, all others are grey. A margin is the exact one of `LoopMargins`; it
 is marked at the curve's own crossing. With one sample time both agree; a curve of a loop with several sample times is the part of its
@@ -11,19 +11,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import atan, degrees, inf, isfinite, isnan, log, log10, nan, pi
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Rectangle
-from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator
 
 from flexfmu.cosim.design.margins.linear_loop import ComplexArray, LinearLoop
 from flexfmu.cosim.design.margins.margins import ALL, LoopMargins, PoseMargins
-from flexfmu.cosim.reports.figure_style import GREY, INK, draw, style
+from flexfmu.cosim.reports.chart import DASHES, GREY, PALETTE, SECOND, Curve, Marker, Panel
+from flexfmu.cosim.reports.page import Plot
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.trajectories.jets import RealArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 POINTS = 4000
 """Frequencies of a curve."""
@@ -31,25 +31,19 @@ POINTS = 4000
 GAINS = np.geomspace(0.05, 20.0, 160)
 """Factors of the torques of a root locus."""
 
-WORST, OTHERS, DISK, CRITICAL = "#0b5fa5", "#c3cad1", "#f3c7cd", "#a3212f"
-"""Colours of the worst loop, of all others, of the disk, and of -1."""
+NYQUIST = 1.8
+"""Half the width of a Nyquist diagram, at least."""
 
-NYQUIST = 2.5
-"""Magnitude up to which a page's Nyquist diagram shows a loop."""
-
-FLOOR = -40.0
-"""Magnitude [dB] at which the diagram ends."""
+FLOOR, HIGHEST, TURNS = -40.0, 80.0, 720.0
+"""Magnitudes [dB] at which the diagram ends, and the largest difference of its phases [degrees]."""
 
 NEAR = log(1.15)
 """Logarithm of the ratio of a curve's margin and the exact one up to which a crossing is that of the margin."""
 
-ABOVE: Mapping[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.3, "fontsize": 7.5}
-"""Legends stand above their axes, where no curve is."""
-
 REAL = 1e-9
 """Imaginary part relative to the magnitude below which a response is real."""
 
-RATIOS = (0.1, 0.3, 0.5, 0.7)
+RATIOS = (0.0, 0.1, 0.3, 0.5, 0.7)
 """Damping ratios of the lines of a root locus."""
 
 
@@ -138,82 +132,65 @@ def loop_curves(poses: Sequence[PoseMargins]) -> list[LoopCurve]:
     return sorted(found, key=lambda each: each.margins.disk_margin)
 
 
-def draw_margins(poses: Sequence[PoseMargins], title: str, bode: bool = True, nyquist: bool = True) -> Figure:
-    """Bode diagram of the open loops beside their Nyquist diagram about -1, or one of both.
+def margin_plots(poses: Sequence[PoseMargins]) -> tuple[Plot, Plot]:
+    """Return the Bode diagram of the open loops, and their Nyquist diagram about -1.
 
     The former has magnitude [dB] and phase [degrees] over the frequency [Hz], with margins and crossovers; the latter the disk that
     the loop with the smallest disk margin doesn't enter.
     """
-    with style():
-        figure = draw(12.0 if bode and nyquist else 8.0 if bode else 6.4, 5.6 if bode and nyquist else 6.0)
-        curves = loop_curves(poses)
-        places = figure.add_gridspec(2, bode + nyquist, width_ratios=(1.3, 1.0)[: bode + nyquist])
-        if bode:
-            gain = figure.add_subplot(places[0, 0])
-            _bode(gain, figure.add_subplot(places[1, 0], sharex=gain), curves)
-        if nyquist:
-            _nyquist(figure.add_subplot(places[:, -1]), curves)
-        figure.suptitle(title, fontsize=10)
-    return figure
+    curves = loop_curves(poses)
+    label = curves[0].label + ("" if curves[0].is_stable else ": unstable")
+    # the loop with the smallest disk margin on top of the others
+    others: Mapping[str, Any] = {"label": "other places and cuts", "colour": GREY, "width": 0.8, "opacity": 0.5}
+    drawn = [*((each, others) for each in curves[:0:-1]), (curves[0], {"label": label})]
+    caption = f"In colour the loop with the smallest disk margin, {curves[0].label}; grey: other places and cuts."
+    bode, nyquist = _bode(curves[0], drawn), _nyquist(curves[0], drawn)
+    return (
+        Plot("bode", "Bode diagram of the open loops", caption, bode, "frequency [Hz]", 330.0, 400),
+        Plot("nyquist", "Nyquist diagram about −1", caption, (nyquist,), "real part", 330.0),
+    )
 
 
-def _bode(gain: Axes, phase: Axes, curves: Sequence[LoopCurve]) -> None:
-    """Draw both axes of a Bode diagram."""
-    worst, frequency, margins = curves[0], curves[0].frequency, curves[0].margins
+def _bode(worst: LoopCurve, drawn: Sequence[tuple[LoopCurve, Mapping[str, Any]]]) -> tuple[Panel, Panel]:
+    """Magnitudes and phases."""
+    frequency, margins = worst.frequency, worst.margins
     # from a decade below the first crossing to where all magnitudes stay below the floor
-    crossings = [0.1 * float(each.gain_crossings[0]) for each in curves if each.gain_crossings.size]
+    crossings = [0.1 * float(each.gain_crossings[0]) for each, _ in drawn if each.gain_crossings.size]
     first = max(min(crossings, default=0.0), frequency[0])
-    above = max(np.flatnonzero(each.decibels > FLOOR).max(initial=0) for each in curves)
+    above = max(np.flatnonzero(each.decibels > FLOOR).max(initial=0) for each, _ in drawn)
     last = 1.1 * max(
         float(frequency[above]), 10.0 * first, *np.nan_to_num([worst.gain_crossover, worst.phase_crossover])
     )
     inside = (frequency >= first) & (frequency <= last)
-    for curve in reversed(curves):
-        how: Mapping[str, Any] = (
-            {"color": WORST, "linewidth": 1.6, "zorder": 3.0}
-            if curve is worst
-            else {"color": OTHERS, "linewidth": 1.0, "zorder": 2.0}
-        )
+    gains, phases, lowest = list[Curve](), list[Curve](), float(worst.phase[inside].max()) - TURNS
+    for curve, look in drawn:
         # other curves by whole turns, so that they begin beside the worst one
         begin, other = (float(np.interp(first, each.frequency, each.phase)) for each in (curve, worst))
-        gain.plot(curve.frequency, curve.decibels, **how)
-        phase.plot(curve.frequency, curve.phase - 360.0 * round((begin - other) / 360.0), **how)
-    # margins are lines between the worst curve and 0 dB or -180 degrees, crossovers dotted lines through both axes
-    marking: Mapping[str, Any] = {"color": WORST, "linewidth": 2.4, "marker": "o", "markersize": 3.5, "zorder": 4.0}
-    texts, lowest, decibels = ["unstable", "unstable"], FLOOR, inf
+        phase = curve.phase - 360.0 * round((begin - other) / 360.0)
+        gains.append(
+            Curve(frequency[inside], np.where(curve.decibels < HIGHEST, curve.decibels, np.nan)[inside], **look)
+        )
+        phases.append(Curve(frequency[inside], np.where(phase > lowest, phase, np.nan)[inside], **look))
+    # margins are lines between the worst curve and 0 dB or the line of -180 degrees that is next to it
+    floor, f, g = FLOOR, worst.gain_crossover, worst.phase_crossover
     if worst.is_stable:
-        decibels, late = 20.0 * log10(margins.gain_margin), f"delay margin {1e3 * margins.delay_margin:.3g} ms"
-        texts = [
-            f"gain margin {decibels:.3g} dB (× {margins.gain_margin:.3g})",
-            f"phase margin {degrees(margins.phase_margin):.3g}°, {late}",
-        ]
-        lowest = min(lowest, -decibels - 5.0) if isfinite(decibels) else lowest
-    if not isnan(f := worst.gain_crossover):
-        gain.plot([f, f], [0.0, -decibels], **marking)
-    if not isnan(f := worst.phase_crossover):
-        # to the line of -180 degrees that is next to it
-        at, margin = float(np.interp(f, worst.frequency, worst.phase)), degrees(margins.phase_margin)
-        line = -180.0 + 360.0 * round((at + 180.0) / 360.0)
-        phase.plot([f, f], [line, line + (margin if at > line else -margin)], **marking)
-    for axes, level, step, text in ((gain, 0.0, 20.0, texts[0]), (phase, -180.0, 90.0, texts[1])):
-        for f in (worst.gain_crossover, worst.phase_crossover):
-            axes.axvline(f, color=WORST, linewidth=0.9, linestyle=":", zorder=1.5)
-        axes.plot([], [], color=WORST, label=f"{worst.label}: {text}")
-        axes.axhline(level, color=INK, linewidth=0.8)
-        axes.yaxis.set_major_locator(MultipleLocator(step))
-    if len(curves) > 1:
-        gain.plot([], [], color=OTHERS, label="other places and cuts")
-    for axes in (gain, phase):
-        axes.legend(**ABOVE)
-    highest = min(max(float(np.max(each.decibels[inside])) for each in curves) + 5.0, 80.0)
-    gain.set(xscale="log", xlim=(first, last), ylabel="magnitude [dB]", ylim=(lowest, highest))
-    gain.tick_params(labelbottom=False)
-    # multiples of 90 degrees about the phases, -180 degrees among them, two turns at most
-    high = max(90.0 * np.ceil((worst.phase[inside].max() + 10.0) / 90.0), -90.0)
-    low = max(min(90.0 * np.floor((worst.phase[inside].min() - 10.0) / 90.0), -270.0), high - 720.0)
-    phase.set(ylabel="phase [°]", xlabel="frequency [Hz]", ylim=(low, high))
-    phase.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
-    phase.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        decibels, angle = 20.0 * log10(margins.gain_margin), degrees(margins.phase_margin)
+        at = float(np.interp(g, frequency, worst.phase))
+        line = -180.0 if isnan(at) else -180.0 + 360.0 * round((at + 180.0) / 360.0)
+        text = f"gain margin {decibels:.3g} dB (× {margins.gain_margin:.3g})"
+        gains.append(Curve(np.array([f, f]), np.array([0.0, -decibels]), text, SECOND, 2.4, dot="disc"))
+        text = f"phase margin {angle:.3g}°, delay margin {1e3 * margins.delay_margin:.3g} ms"
+        ends = np.array([line, line + (angle if at > line else -angle)])
+        phases.append(Curve(np.array([g, g]), ends, text, SECOND, 2.4, dot="disc"))
+        floor = min(floor, -decibels - 5.0) if isfinite(decibels) else floor
+    marks = [(each, name) for name, each in (("gain margin", f), ("phase margin", g)) if isfinite(each)]
+    limits = float(first), float(last)
+    return (
+        Panel("magnitude [dB]", gains, logarithmic="x", limits=limits, level=0.0, least=floor, marks=marks),
+        Panel(
+            "phase [°]", phases, logarithmic="x", limits=limits, level=-180.0, marks=[(each, "") for each, _ in marks]
+        ),
+    )
 
 
 def disk_of(margin: float) -> tuple[float, float]:
@@ -225,56 +202,61 @@ def disk_of(margin: float) -> tuple[float, float]:
     return 0.5 * (left + right), 0.5 * (right - left)
 
 
-def _nyquist(axes: Axes, curves: Sequence[LoopCurve]) -> None:
-    """Draw the plane about -1."""
-    worst, margin = curves[0], curves[0].margins.disk_margin
-    shown = 1.8
+def _nyquist(worst: LoopCurve, drawn: Sequence[tuple[LoopCurve, Mapping[str, Any]]]) -> Panel:
+    """The plane about -1."""
+    margin, angles, shown = worst.margins.disk_margin, np.linspace(0.0, 2.0 * pi, 181), NYQUIST
+    circle, curves = np.exp(1j * angles), list[Curve]()
     if 0.0 < margin < 2.0:
         middle, radius = disk_of(margin)
         shown = float(np.clip(1.3 * (radius - middle - 0.6), shown, 4.0))
         gains = f"gains × {(2 - margin) / (2 + margin):.3g} to {(2 + margin) / (2 - margin):.3g}"
-        label = f"disk margin {margin:.3g}:\n{gains}, phases ± {degrees(2.0 * atan(0.5 * margin)):.3g}°"
-        axes.add_patch(Circle((middle, 0.0), radius, color=DISK, linewidth=0.0, label=label, zorder=1.0))
+        text = f"disk margin {margin:.3g}: {gains}, phases ± {degrees(2.0 * atan(0.5 * margin)):.3g}°"
+        curves.append(_area(middle + radius * circle, text))
     elif margin >= 2.0:
         # any gain, and phases up to a right angle: half the plane
-        axes.add_patch(Rectangle((-1e3, -1e3), 1e3, 2e3, color=DISK, linewidth=0.0, label="disk margin 2", zorder=1.0))
-    axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, color=GREY, linewidth=0.9, linestyle="--", zorder=1.5))
-    for each in curves[1:]:
-        axes.plot(each.response.real, each.response.imag, color=OTHERS, linewidth=1.0, zorder=2.0)
-    z, label = worst.response, worst.label + ("" if worst.is_stable else ": unstable")
-    axes.plot(z.real, z.imag, color=WORST, linewidth=1.6, label=label, zorder=3.0)
-    axes.plot(z.real, -z.imag, color=WORST, linewidth=0.8, linestyle=(0, (4, 3)), label="negative frequencies")
-    if len(curves) > 1:
-        axes.plot([], [], color=OTHERS, label="other places and cuts")
-    axes.plot(-1.0, 0.0, "+", color=CRITICAL, markersize=11, markeredgewidth=2.0, zorder=5.0)
-    axes.set(xlim=(-0.6 - shown, -0.6 + shown), ylim=(-shown, shown), xlabel="real part", ylabel="imaginary part")
-    axes.set_aspect("equal", adjustable="box")
-    axes.legend(**ABOVE, ncols=2)
+        corners = np.array([1j, 1j - 0.6 - shown, -1j - 0.6 - shown, -1j])
+        curves.append(_area(corners.real + 1j * shown * corners.imag, "disk margin 2"))
+    curves.append(Curve(circle.real, circle.imag, "", GREY, 0.9, dashes=DASHES, is_read=False))
+    for each, look in drawn:
+        mirrored = list[Curve]()
+        # each part of it that is near
+        is_near = (np.abs(each.response.real + 0.6) <= shown) & (np.abs(each.response.imag) <= shown)
+        for part in np.split(np.arange(is_near.size), np.flatnonzero(np.diff(is_near)) + 1):
+            if is_near[part[0]]:
+                z, more = each.response[part], {"frequency [Hz]": each.frequency[part]}
+                curves.append(Curve(z.real, z.imag, more=more, is_read=each is worst, **look))
+                mirrored.append(Curve(z.real, -z.imag, "negative frequencies", width=0.8, dashes=DASHES, is_read=False))
+        curves += mirrored if each is worst else []
+    critical = Marker(-1.0, 0.0, 7.0, SECOND, text="−1", offset=(6.0, -6.0))
+    limits = -0.6 - shown, shown - 0.6
+    return Panel("imaginary part", curves, [critical], limits=limits, is_to_scale=True, is_function=False)
+
+
+def _area(points: ComplexArray, label: str) -> Curve:
+    """An area that no curve enters."""
+    return Curve(points.real, points.imag, label, SECOND, 0.0, fill=0.25, is_read=False)
 
 
 def draw_root_locus(poses: Sequence[PoseMargins], linear: Sequence[LinearLoop], title: str) -> Figure:
     """Eigenvalues over a period, in the z-plane, as all torques grow from a twentieth to twenty times their size."""
-    with style():
-        figure = draw(6.4, 6.6)
-        axes = figure.add_subplot()
-        axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, color=INK, linewidth=1.0))
-        # lines of equal damping ratio: spirals into the origin
-        turn = np.linspace(-pi, pi, 400)
-        for ratio in RATIOS:
-            z = np.exp(1j * turn - np.abs(turn) * ratio / np.sqrt(1.0 - ratio**2))
-            axes.plot(z.real, z.imag, color=OTHERS, linewidth=0.8, zorder=1.0)
-            axes.annotate(f"{ratio:g}", (z[260].real, z[260].imag), fontsize=7, color=GREY, ha="center", va="center")
-        for k, (pose, loop) in enumerate(zip(poses, linear, strict=True)):
-            factors = np.append(1.0, GAINS)[:, np.newaxis] * np.ones(len(loop.channels))
-            now, *values = np.linalg.eigvals(loop.lifted.closed(factors))
-            points, colour = np.concatenate(values), f"C{k % 10}"
-            axes.plot(points.real, points.imag, ".", markersize=1.5, color=colour)
-            axes.plot(now.real, now.imag, "x", color=colour, label=pose.place())
-        axes.set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), xlabel="real part", ylabel="imaginary part")
-        axes.set_aspect("equal", adjustable="box")
-        axes.set_title(
-            "torques × 0.05 to 20 (crosses: × 1), lines of equal damping ratio", fontsize=8.5, fontweight="normal"
-        )
-        axes.legend(fontsize=7.5, loc="lower right")
-        figure.suptitle(title, fontsize=10)
+    from flexfmu.cosim.reports.figure_style import COLOURS, figure_of  # Matplotlib takes longer than most commands
+
+    curves, markers, loci = list[Curve](), list[Marker](), list[tuple[ComplexArray, str]]()
+    # lines of equal damping ratio: spirals into the origin, the first one a circle
+    turn = np.linspace(-pi, pi, 400)
+    for ratio in RATIOS:
+        z = np.exp(1j * turn - np.abs(turn) * ratio / np.sqrt(1.0 - ratio**2))
+        curves.append(Curve(z.real, z.imag, "", GREY, 0.8 if ratio else 1.4, 0.5 if ratio else 1.0))
+        markers += [Marker(z[260].real, z[260].imag, colour=GREY, text=f"{ratio:g}", anchor="middle")] if ratio else []
+    for k, (pose, loop) in enumerate(zip(poses, linear, strict=True)):
+        factors = np.append(1.0, GAINS)[:, np.newaxis] * np.ones(len(loop.channels))
+        now, *values = np.linalg.eigvals(loop.lifted.closed(factors))
+        curves.append(Curve(now.real, now.imag, pose.place(), PALETTE[k % len(PALETTE)], 0.0, dot="cross"))
+        loci.append((np.concatenate(values), curves[-1].colour))
+    panel = Panel("imaginary part", curves, markers, is_to_scale=True, is_function=False)
+    name = "Torques × 0.05 to 20 (crosses: × 1), lines of equal damping ratio"
+    figure = figure_of([Plot("root-locus", name, "", (panel,), "real part", 400.0)], title)
+    for points, colour in loci:
+        figure.axes[0].plot(points.real, points.imag, ".", markersize=1.5, color=COLOURS[colour])
+    figure.axes[0].set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3))
     return figure

@@ -19,6 +19,7 @@ from flexfmu.cosim.design.margins.linear_loop import LinearLoop
 from flexfmu.cosim.design.margins.loop_warnings import coarse_counts
 from flexfmu.cosim.design.margins.margins import FIGURES, LoopMargins, PoseMargins, pose_margins, shown_robot
 from flexfmu.cosim.design.margins.measured_loop import MeasuredLoop, measured_margins
+from flexfmu.cosim.design.margins.pictures import draw_root_locus, margin_plots
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop, WiredSystem, standing_for
 from flexfmu.cosim.design.response.response import FrequencyResponse
 from flexfmu.cosim.engine.errors import InputError
@@ -28,8 +29,7 @@ from flexfmu.cosim.engine.showing import Rows
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
 from flexfmu.cosim.metrics.metric_table import LOOP_FIGURES
-from flexfmu.cosim.reports.chart import DASHES, FIRST, GREY, SECOND, Curve, Marker, Panel
-from flexfmu.cosim.reports.page import Page, Plot
+from flexfmu.cosim.reports.page import Page
 from flexfmu.cosim.reports.page import Table as PageTable
 from flexfmu.cosim.reports.report import of_scene
 from flexfmu.cosim.reports.terminal import titled_table
@@ -118,44 +118,12 @@ class MarginsResult(Rows):
 
     def plot(self) -> Figure:
         """Bode diagram of the open loops with their margins, and Nyquist diagram about -1 with the disk of the disk margin."""
-        from flexfmu.cosim.design.margins.pictures import draw_margins  # Matplotlib takes longer than most commands
+        from flexfmu.cosim.reports.figure_style import figure_of  # Matplotlib takes longer than most commands
 
-        return draw_margins(self.poses, f"{self.scene.name}. {self.verdict}")
+        return figure_of(margin_plots(self.poses), f"{self.scene.name}. {self.verdict}", columns=2)
 
     def page(self) -> str:
         """The page: verdict, the worst margins, those of each pose and cut, Bode and Nyquist diagrams of all open loops, as HTML."""
-        from flexfmu.cosim.design.margins.pictures import NYQUIST, disk_of, loop_curves
-
-        curves = loop_curves(self.poses)
-        first = curves[0]
-        gains, phases, paths = list[Curve](), list[Curve](), list[Curve]()
-        # the loop with the smallest disk margin on top of the others
-        for each in reversed(curves):
-            look = {"colour": FIRST, "label": each.label} if each is first else {"colour": GREY, "width": 0.8}
-            gains.append(Curve(each.frequency, each.decibels, **look))
-            phases.append(Curve(each.frequency, np.where(each.phase > PAGE_PHASE, each.phase, np.nan), **look))
-            response = np.where(np.abs(each.response) < NYQUIST, each.response, np.nan)
-            more = {"frequency [Hz]": each.frequency}
-            paths.append(Curve(response.real, response.imag, more=more, is_read=each is first, **look))
-        crossings = {"gain margin": first.gain_crossover, "phase margin": first.phase_crossover}
-        marks = [(each, name) for name, each in crossings.items() if isfinite(each)]
-        bode = (
-            Panel(label="magnitude [dB]", curves=gains, logarithmic="x", level=0.0, least=PAGE_FLOOR, marks=marks),
-            Panel(label="phase [°]", curves=phases, logarithmic="x", level=-180.0),
-        )
-        # the disk of the disk margin, which no curve enters
-        if self.is_stable and 0.0 < first.margins.disk_margin < 2.0:
-            middle, radius = disk_of(first.margins.disk_margin)
-            angles = np.linspace(0.0, 2.0 * np.pi, 181)
-            x, y = middle + radius * np.cos(angles), radius * np.sin(angles)
-            paths.insert(0, Curve(x, y, "disk of the disk margin", SECOND, dashes=DASHES, is_read=False))
-        critical = Marker(-1.0, 0.0, 7.0, SECOND, text="−1", offset=(6.0, -6.0))
-        nyquist = Panel(label="imaginary part", curves=paths, markers=[critical], is_to_scale=True, is_function=False)
-        caption = f"In colour the loop with the smallest disk margin, {first.label}; grey: other poses and cuts."
-        plots = [
-            Plot("bode", "Bode diagram of the open loops", caption, bode, "frequency [Hz]", 300.0, 400),
-            Plot("nyquist", "Nyquist diagram about −1", caption, (nyquist,), "real part", 300.0, 1000),
-        ]
         heads = [" ".join(head.replace("-\n", "").split("\n")) for head in HEADS]
         rows = [
             [f"{pose.s:.2f}, {row.channel.removesuffix('.torque')}", *_texts(row)]
@@ -173,7 +141,9 @@ class MarginsResult(Rows):
         )
         tiles = [(name, [text]) for name, text in zip(names, _texts(self.worst), strict=False)]
         frame = of_scene(self.scene) if isinstance(self.scene, Scene) else {}
-        return Page(f"Margins of {self.scene.name}", self.verdict, plots, [table], tiles, **frame).html
+        return Page(
+            f"Margins of {self.scene.name}", self.verdict, margin_plots(self.poses), [table], tiles, **frame
+        ).html
 
     def row_units(self) -> Mapping[str, str]:
         """Margin → unit."""
@@ -308,9 +278,6 @@ def model_margins(
     return MarginsResult(model, (pose,), (linear,), None, response)
 
 
-PAGE_FLOOR, PAGE_PHASE = -60.0, -540.0
-"""Least magnitude [dB] and phase [degrees] of a page's Bode diagram."""
-
 HEADS = ("gain", "less", "phase\n°", "delay\nms", "disk", "peak\nS", "band-\nwidth\nHz", "cross-\nover\nHz")
 """Of the columns, short enough for 80 characters with all others."""
 
@@ -372,15 +339,12 @@ def write_margins(result: MarginsResult, folder: Path) -> list[Path]:
     Raises:
         ResultsError: a file can't be written.
     """
-    from flexfmu.cosim.design.margins.pictures import draw_margins, draw_root_locus
+    from flexfmu.cosim.reports.figure_style import figure_of
 
     out = OutputFolder(folder)
     out.prepare()
-    name = result.scene.name
-    pictures = {
-        "bode.png": draw_margins(result.poses, f"{name}. {result.verdict}", nyquist=False),
-        "nyquist.png": draw_margins(result.poses, f"{name}: open loops about −1", bode=False),
-    }
+    name, (bode, nyquist) = result.scene.name, margin_plots(result.poses)
+    pictures = {"bode.png": figure_of([bode], f"{name}. {result.verdict}"), "nyquist.png": figure_of([nyquist], name)}
     if result.response is None:  # of which no eigenvalues are known
         pictures["root-locus.png"] = draw_root_locus(result.poses, result.linear, f"{name}: eigenvalues over a period")
     for file, figure in pictures.items():

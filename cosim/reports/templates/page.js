@@ -155,7 +155,7 @@ const page = (() => {
         if (m.group === "pose" && this.motion) continue;
         const x = at(m.x, "x"), y = at(m.y, "y");
         if (m.size) disc(x, y, m.size, m.colour, m.opacity, m.shape === "square");
-        if (m.text) text(m.text, x + m.offset[0] * ratio, y + m.offset[1] * ratio, m.anchor === "middle" ? "center" : "left");
+        if (m.text) text(m.text, x + m.offset[0] * ratio, y + m.offset[1] * ratio, m.anchor === "middle" ? "center" : m.anchor);
       }
       if (this.picked) disc(at(this.picked[0], "x"), at(this.picked[1], "y"), 9, "var(--second)", 0.7);
       this.motion?.draw(line, disc, at);

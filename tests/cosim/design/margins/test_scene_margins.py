@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from blocks import c_function, looped
-from matplotlib.axes import Axes
-from matplotlib.patches import Circle
 from typer.testing import CliRunner
 
 import flexfmu
@@ -25,7 +23,7 @@ from flexfmu.cosim.design.margins.course import PathLoop, Place
 from flexfmu.cosim.design.margins.linear_blocks import linear_block
 from flexfmu.cosim.design.margins.loop_warnings import stability_warning
 from flexfmu.cosim.design.margins.margins import ALL, growth
-from flexfmu.cosim.design.margins.pictures import disk_of, draw_margins, loop_curves
+from flexfmu.cosim.design.margins.pictures import disk_of, loop_curves, margin_plots
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
 from flexfmu.cosim.design.margins.scene_margins import MarginsResult, scene_margins, write_margins
 from flexfmu.cosim.engine.errors import InputError
@@ -33,6 +31,7 @@ from flexfmu.cosim.experiment.scene_loop import loop_of, own_loop
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
 from flexfmu.cosim.experiment.wiring import inline_block
 from flexfmu.cosim.many.prepared_scene import PreparedScene
+from flexfmu.cosim.reports.chart import FIRST, Curve, Panel
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import Variable
 from flexfmu.trajectories.jets import RealArray
@@ -272,27 +271,24 @@ def margins_of(name: str) -> MarginsResult:
     return scene_margins(looped({**PD, **gains}, *imperfections), poses=2)
 
 
-def curve_of(axes: Axes) -> tuple[RealArray, RealArray]:
-    """The drawn curve of the worst loop: the last one with a colour and many points."""
-    lines = [line for line in axes.lines if np.size(line.get_xdata()) > 100 and line.get_zorder() == 3.0]
-    assert len(lines) >= 1
-    return np.asarray(lines[-1].get_xdata(), float), np.asarray(lines[-1].get_ydata(), float)
+def curve_of(panel: Panel) -> Curve:
+    """The drawn curve of the worst loop: the one with a colour and many points."""
+    (found,) = (each for each in panel.curves if each.colour == FIRST and each.x.size > 100 and not each.dashes)
+    return found
 
 
 def test_margins_are_read_from_the_drawn_curves() -> None:
     """Magnitude where the phase passes -180 degrees, and phase where the magnitude passes 0 dB."""
     single = margins_of("single")
     worst = loop_curves(single.poses)[0].margins
-    gain, phase = draw_margins(single.poses, "", nyquist=False).axes[:2]
-    frequency, decibels = curve_of(gain)
-    _, degrees = curve_of(phase)
+    gain, phase = margin_plots(single.poses)[0].panels
+    frequency, decibels, degrees = curve_of(gain).x, curve_of(gain).y, curve_of(phase).y
     expected = 20.0 * np.log10(worst.gain_margin)
     assert np.abs(-_read(decibels, (degrees + 180.0) / 360.0) - expected).min() < 0.01 * expected
     margins = 180.0 - np.abs(_read(degrees, 1e-4 * decibels) % 360.0)
     assert np.abs(margins).min() == pytest.approx(np.degrees(worst.phase_margin), rel=0.01)
     # and marked there, to scale
-    ends = {line.get_zorder(): line for line in gain.lines if np.size(line.get_xdata()) == 2}[4.0]
-    (f, _), (top, bottom) = ends.get_data()
+    (f, _), (top, bottom) = gain.curves[-1].x, gain.curves[-1].y
     assert (top, bottom) == (0.0, pytest.approx(-expected))
     assert np.interp(f, frequency, decibels) == pytest.approx(-expected, rel=0.01)
 
@@ -315,27 +311,21 @@ def test_curves_touch_the_disk_and_are_continuous(name: str) -> None:
         assert least > (1.0 - 1e-3) * radius
         assert name == "several" or least < (1.0 + 1e-2) * radius
     # the drawn one is that of the worst
-    axes = draw_margins(result.poses, "", bode=False).axes[0]
-    disk = next(each for each in axes.patches if isinstance(each, Circle) and each.get_fill())
-    assert (disk.center[0], disk.radius) == pytest.approx(
-        disk_of(min(row.disk_margin for p in result.poses for row in p.loops if row.channel != ALL))
+    bode, nyquist = margin_plots(result.poses)
+    (disk,) = (each for each in nyquist.panels[0].curves if each.fill)
+    assert (0.5 * (disk.x.min() + disk.x.max()), 0.5 * np.ptp(disk.x)) == pytest.approx(
+        disk_of(min(row.disk_margin for p in result.poses for row in p.loops if row.channel != ALL)), rel=1e-3
     )
-    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
-    assert left < -1.0 < right
-    assert low < 0.0 < high
-    _, phase = draw_margins(result.poses, "", nyquist=False).axes[:2]
-    low, high = phase.get_ylim()
-    assert high - low <= 720.0
-    assert low < -180.0 < high
-    for line in phase.lines:
-        if np.size(line.get_xdata()) > 100:
-            assert np.abs(np.diff(np.asarray(line.get_ydata(), float))).max() < 180.0
+    phases = [each.y for each in bode.panels[1].curves if each.x.size > 100]
+    assert np.nanmax(phases) - np.nanmin(phases) <= 720.0
+    assert bode.panels[1].level == -180.0
+    assert np.nanmax(np.abs(np.diff(phases))) < 180.0
 
 
 def test_files_have_pictures(tmp_path: Path) -> None:
     """A table and three pictures, of unstable loops too; diagrams beside each other say so, and label one loop."""
     legends = [axes.get_legend() for axes in margins_of("unstable").plot().axes]
-    assert sum("unstable" in text.get_text() for each in legends if each for text in each.get_texts()) == 3
+    assert sum("unstable" in text.get_text() for each in legends if each for text in each.get_texts()) == 2
     table, *pictures, page = write_margins(margins_of("unstable"), tmp_path)
     assert [path.name for path in (table, *pictures, page)] == [
         "margins.csv",

@@ -22,10 +22,9 @@ from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.timing import MOST, fastest, fastest_in_turns
 from flexfmu.cosim.many.journal import WorkJournal, about_scene
 from flexfmu.cosim.many.prepared_scene import PreparedScene
-from flexfmu.cosim.reports.figure_style import draw
 from flexfmu.cosim.studies.workprec import solver_trials
 from flexfmu.cosim.studies.workprec import study as studys
-from flexfmu.cosim.studies.workprec.figures import draw_family, html, lines_of, save_figures
+from flexfmu.cosim.studies.workprec.figures import html, lines_of, picture, save_figures
 from flexfmu.cosim.studies.workprec.solver_trials import BoundFunction, formulation_trials
 from flexfmu.cosim.studies.workprec.trial import RunError, SceneUnderTest, fmu_trials, subject_of, sweep
 from flexfmu.model.scene.file import load_scene
@@ -213,10 +212,9 @@ def test_results_hold_everything(study: studys.WorkPrecisionStudy, tmp_path: Pat
 def test_axes_have_plain_numbers(study: studys.WorkPrecisionStudy) -> None:
     """Times and real-time factors below one are written like those above; ticks beyond the axis aren't drawn."""
     trials = (WorkPrecisionTrial("tools", "slow", *each) for each in (("a", 1e-3, 9.0), ("b", 1e-5, 0.009)))
-    figure = draw(6.6, 4.8)
-    axes = figure.subplots()
-    draw_family(axes, replace(study, trials=tuple(trials)), "tools")
+    figure = picture(replace(study, trials=tuple(trials)), ["tools"])
     figure.draw_without_rendering()
+    (axes,) = figure.axes
     (factor,) = axes.child_axes
     for side, numbers in ((axes, {"10", "100", "1000"}), (factor, {"0.1", "1", "10"})):
         low, high = side.get_ylim()
@@ -342,8 +340,8 @@ def test_a_study_of_metrics_has_floors_and_a_front() -> None:
     assert len(times) >= 6
     assert times == sorted(times)
     # a picture and a page of it
-    figure = draw(6.5, 4.8)
-    draw_family(figure.subplots(), study, "peak_torque_1")
+    (axes,) = picture(study, ["peak_torque_1"]).axes
+    assert "cheapest of all" in axes.get_legend_handles_labels()[1]
     assert "cheapest of all" in html(study)
     assert "peak_torque_1" in studys.sentence(study)
 
