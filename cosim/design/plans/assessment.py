@@ -259,9 +259,9 @@ class Judge:
     def given(self) -> Assessment:
         """The given motion."""
         ways = tuple(Candidate("given", "given", each.scene, each.own) for each in self.goals.ways)
-        return self.assess(Candidate("given", "given", self.goals.scene, self.goals.own, ways), given=True)
+        return self.assess(Candidate("given", "given", self.goals.scene, self.goals.own, ways))
 
-    def assess(self, candidate: Candidate, *, given: bool = False) -> Assessment:
+    def assess(self, candidate: Candidate) -> Assessment:
         """Run a candidate over the bands.
 
         Raises:
@@ -269,10 +269,10 @@ class Judge:
             ResultsError: a run failed.
             KeyboardInterrupt: after Ctrl-C, which ends a run early.
         """
-        place = len(self.robots), "given" if given else candidate
+        place = len(self.robots), "given" if candidate.method == "given" else candidate
         if place not in self.goals.judged:
             key = ["judged", len(self.robots), candidate.content]
-            *tables, uses = self.journal.kept(key, Judged, lambda: self._judged(candidate, given=given))
+            *tables, uses = self.journal.kept(key, Judged, lambda: self._judged(candidate))
             values, times = ({name: np.array(each) for name, each in table.items()} for table in tables)
             self.goals.judged[place] = Assessment(candidate, self.robots, values, times, uses)
             # runs and their metrics refer to each other, and recordings are large
@@ -280,11 +280,10 @@ class Judge:
         found: Assessment = self.goals.judged[place]
         return found
 
-    def of_ways(self, candidate: Candidate, *, given: bool = False) -> tuple[Assessment, ...]:
+    def of_ways(self, candidate: Candidate) -> tuple[Assessment, ...]:
         """The assessments of each way of a cycle; arguments and errors as for `assess`."""
         judges = [Judge(each, self.payloads, self.journal) for each in self.goals.ways]
-        pairs = zip(judges, candidate.ways, strict=True)
-        return tuple(judge.given if given else judge.assess(way) for judge, way in pairs)
+        return tuple(judge.assess(way) for judge, way in zip(judges, candidate.ways, strict=True))
 
     def _of_cycle(self, ways: Sequence[Assessment], motions: Sequence[Trajectory]) -> tuple[Values, Values]:
         """What a cycle needs over all its ways and pauses, for each robot of the bands and what it carries on the other ways, and instants."""
@@ -313,10 +312,10 @@ class Judge:
                 times[name] = np.take_along_axis(instants, rows.argmax(axis=0)[np.newaxis], axis=0)[0]
         return values, times
 
-    def _judged(self, candidate: Candidate, *, given: bool) -> tuple[Values, Values, tuple[Limit, ...]]:
+    def _judged(self, candidate: Candidate) -> tuple[Values, Values, tuple[Limit, ...]]:
         if candidate.ways:
             motions = [each.joints for each in candidate.ways]
-            values, times = self._of_cycle(self.of_ways(candidate, given=given), motions)
+            values, times = self._of_cycle(self.of_ways(candidate), motions)
         else:
             prepared, joints, found = candidate.prepared(), candidate.joints, list[tuple[Values, Values]]()
             for each in self.robots:
@@ -328,7 +327,7 @@ class Judge:
             # what all robots have in common
             for name, each in zip(("time", *RATES), (joints.duration, *peak_rates(joints)), strict=True):
                 values[name] = np.full((len(self.robots), 1), each)
-        uses = [*self._uses(values, times, values if given else self.given.values)]
+        uses = [*self._uses(values, times, values if candidate.method == "given" else self.given.values)]
         if self.goals.loop is not None:
             uses.append(self._in_the_loop(self.goals.loop, candidate))
         return values, times, tuple(uses)

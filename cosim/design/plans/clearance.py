@@ -248,12 +248,11 @@ class Clearance:
     def of_ways(self, ways: RealArray) -> tuple[RealArray, RealArray]:
         """The same for points of ways (P, N, 2), where what a way passes through counts by the way around it, with gradients of zero."""
         distance, gradient = self.distances(ways)
-        for k, region in enumerate(self.regions if self.thin else ()):
-            for p, way in enumerate(ways):
-                for each in region.stretches(way):
-                    if each.around:
-                        place = k, p, round(each.deepest)
-                        distance[place], gradient[place] = min(distance[place], -each.around), 0.0
+        for p, way in enumerate(ways):
+            for k, each in self._stretches(way):
+                if each.around:
+                    place = k, p, round(each.deepest)
+                    distance[place], gradient[place] = min(distance[place], -each.around), 0.0
         return distance, gradient
 
     def distance(self, points: RealArray) -> RealArray:
@@ -263,7 +262,7 @@ class Clearance:
     def along(self, points: RealArray) -> RealArray:
         """The smallest of these distances (N,) [m] on a way, straight between points (N, 2); what it passes through counts by the way around it."""
         found = self.distance(points)
-        for each in self._stretches(points):
+        for _, each in self._stretches(points):
             number = round(each.deepest)
             found[number] = min(found[number], -max(each.depth, each.around))
         if self.for_links:
@@ -275,10 +274,13 @@ class Clearance:
 
     def passage(self, points: RealArray) -> float:
         """How far a way would have to move to go around all regions that it passes through [m]; 0 if there are none."""
-        return max((each.around for each in self._stretches(points)), default=0.0)
+        return max((each.around for _, each in self._stretches(points)), default=0.0)
 
-    def _stretches(self, points: RealArray) -> list[Stretch]:
-        return [each for region in self.regions for each in region.stretches(points)] if self.thin else []
+    def _stretches(self, way: RealArray) -> list[tuple[int, Stretch]]:
+        """Numbers of regions, with stretches of a way within them."""
+        return (
+            [(k, each) for k, region in enumerate(self.regions) for each in region.stretches(way)] if self.thin else []
+        )
 
 
 def _cross(one: RealArray, other: RealArray) -> RealArray:

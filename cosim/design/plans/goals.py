@@ -195,10 +195,10 @@ class Goals:
         """The lightest and the heaviest payload [kg]."""
         return payload_band(self.scene, self.wishes)
 
-    def limit(self, name: str, usual: RealArray, otherwise: float = NO_LIMIT) -> RealArray:
-        """A limit in its SI unit, from what the given motion needs; another number without such a limit."""
+    def limit(self, name: str, usual: RealArray) -> RealArray:
+        """A limit in its SI unit, from what the given motion needs; `NO_LIMIT` without one."""
         found = self.limits.get(name)
-        return np.full_like(usual, otherwise) if found is None else found.resolved(usual)
+        return np.full_like(usual, NO_LIMIT) if found is None else found.resolved(usual)
 
     def variations(self, payloads: int) -> tuple[Variation, ...]:
         """Robots within the bands: a number of payloads, and the corners of the bands of stiffness and damping."""
@@ -237,12 +237,11 @@ def goals_of(scene: Scene) -> Goals:
         raise InputError(
             f"scene {scene.name} has a motion from a table: `plan.cycle` needs a path, whose height its ways have"
         )
-    targets = [*cycle.targets, TargetSection(position=goals.scene.start, payload=cycle.return_payload)]
-    places = [goals.trace[0], goals.trace[-1], *(np.array(each.position) for each in targets)]
-    payloads = [scene.payload.mass, *(each.payload for each in targets)]
-    pauses = [cycle.pause, *(cycle.pause if each.pause is None else each.pause for each in targets)]
-    ways = []
-    for k, (start, end) in enumerate(pairwise(places)):
+    there = TargetSection(position=tuple(goals.trace[-1].tolist()), payload=scene.payload.mass)
+    back = TargetSection(position=goals.scene.start, payload=cycle.return_payload)
+    targets, ways = [there, *cycle.targets, back], list[Goals]()
+    places = [goals.trace[0], *(np.array(each.position) for each in targets)]
+    for k, (target, (start, end)) in enumerate(zip(targets, pairwise(places), strict=True)):
         # paths go to the right, or up; a way to the left is one reversed in time
         left, right = sorted((start, end), key=lambda each: (round(float(each[0]), 9), float(each[1])))
         width = float(np.hypot(*(right - left)))
@@ -250,8 +249,8 @@ def goals_of(scene: Scene) -> Goals:
             raise InputError(
                 f"`plan.cycle` stays at ({start[0]:g}, {start[1]:g}) m, its place {k + 1}: leave out one of two equal places"
             )
-        changes: dict[str, Any] = {"plan.cycle": None, "payload.mass": payloads[k], **ONCE}
-        if isinstance(goals.wishes.payload_band, tuple) and payloads[k] != scene.payload.mass:
+        changes: dict[str, Any] = {"plan.cycle": None, "payload.mass": target.payload, **ONCE}
+        if isinstance(goals.wishes.payload_band, tuple) and target.payload != scene.payload.mass:
             changes["plan.payload_band"] = 0.0
         if max(np.hypot(*(places[0] - left)), np.hypot(*(places[1] - right))) > SAME_PLACE:
             # a path of the same height, as fast
@@ -268,7 +267,7 @@ def goals_of(scene: Scene) -> Goals:
         if left is end:
             own = Reversed(of_way.given.once.joints)
             of_way = replace(of_way, own=own, scene=plan_own(of_way.scene, own).scene)
-        ways.append(replace(of_way, pause=pauses[k]))
+        ways.append(replace(of_way, pause=cycle.pause if target.pause is None else target.pause))
     return replace(goals, ways=tuple(ways))
 
 
@@ -386,44 +385,44 @@ def _check_way(goals: Goals) -> None:
         )
 
 
-def check_holding_torque(goals: Goals, given: Mapping[Variation, Sequence[float]] | None = None) -> None:
+def check_holding_torque(goals: Goals, robots: Sequence[Variation] = (), given: RealArray | None = None) -> None:
     """The motors must be able to hold all robots of the bands at the places.
 
     Args:
         goals: the wishes.
-        given: robot → largest torques of the given motion, which relative limits need; None checks a limit in N.m alone.
+        robots: the robots; none for the lightest and the heaviest.
+        given: largest torques of the given motion (R, 2) [N m], which relative limits need; None checks a limit in N m alone.
 
     Raises:
         InputError: they can't; no motion keeps to the limit then.
     """
-    limit, motors = goals.limits.get("torque"), () if goals.drives is None else goals.drives.motors
-    if limit is not None and limit.is_relative and given is None:
-        limit = None
-    robots = [*(goals.variations(2) if given is None else given)]
+    limit, drives, robots = goals.limits.get("torque"), goals.drives, robots or goals.variations(2)
     model = VariantModel(goals.scene, [each.changes(goals.scene) for each in robots], CompiledAtPoints)
-    for (end, k, joint), torque in np.ndenumerate(np.abs([model.rest(joints).torque for joints in goals.ends])):
-        # what allows so much, less than what is needed where, and the remedy
-        checks = list[tuple[str, float, float, str, str]]()
-        for motor in motors[joint : joint + 1]:
-            needed, place = torque / motor.gear_ratio, f"the shaft of motor {joint + 1}"
-            curve, at_rest = motor.torque_speed_curve, float(motor.largest_torque(np.zeros(1))[0][0])
-            for name, key, most in (
-                ("motor_rms_torque", "continuous_torque", motor.continuous_torque),
-                ("motor_torque", "torque_speed_curve" if curve else "peak_torque", at_rest),
-            ):
-                if name in goals.limits:
-                    checks.append((f"`motor.{key}`", most, needed, place, "take a stronger motor or gear"))
-        if limit is not None:
-            usual = 1.0 if given is None else given[robots[k]][joint]
-            unit = "of the given motion's" if limit.is_relative else "N·m"
-            wish = f"`plan.limits.torque` = {limit.limit:g} {unit}"
-            checks.append((wish, float(limit.resolved(np.array(usual))), torque, f"joint {joint + 1}", "allow more"))
-        for what, most, needed, place, remedy in checks:
-            if needed > most * (1.0 + MET):
-                raise InputError(
-                    f"{what} allows {most:.4g} N·m at rest, less than {needed:.4g} N·m at {place}, which hold {robots[k]} at the "
-                    f"{('start', 'end')[end]} of the motion against gravity: {remedy}, or carry less"
-                )
+    torques = np.abs([model.rest(joints).torque for joints in goals.ends])
+    # what allows so much, less than what is needed at either end by each robot and joint, where, and the remedy
+    checks = list[tuple[str, RealArray, RealArray, str, str]]()
+    if drives is not None:
+        shafts = torques / [each.gear_ratio for each in drives.motors]
+        curve = "torque_speed_curve" if any(each.torque_speed_curve for each in drives.motors) else "peak_torque"
+        for name, key, most in (
+            ("motor_rms_torque", "continuous_torque", np.array([each.continuous_torque for each in drives.motors])),
+            ("motor_torque", curve, drives.largest(np.zeros((1, 2)))[0]),
+        ):
+            if name in goals.limits:
+                checks.append((f"`motor.{key}`", most, shafts, "the shaft of motor", "take a stronger motor or gear"))
+    if limit is not None and (given is not None or not limit.is_relative):
+        unit = "of the given motion's" if limit.is_relative else "N·m"
+        most = limit.resolved(torques[0] if given is None else given)
+        checks.append((f"`plan.limits.torque` = {limit.limit:g} {unit}", most, torques, "joint", "allow more"))
+    for what, most, needed, place, remedy in checks:
+        excess = needed / most
+        end, k, joint = map(int, np.unravel_index(excess.argmax(), excess.shape))
+        more, share = needed[end, k, joint], excess[end, k, joint]
+        if share > 1.0 + MET:
+            raise InputError(
+                f"{what} allows {more / share:.4g} N·m at rest, less than {more:.4g} N·m at {place} {joint + 1}, which hold {robots[k]} "
+                f"at the {('start', 'end')[end]} of the motion against gravity: {remedy}, or carry less"
+            )
 
 
 def _check_duration(goals: Goals) -> None:

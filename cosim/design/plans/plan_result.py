@@ -29,7 +29,7 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import PLAN_FIGURES, definition
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.metrics.signals import POSITION
-from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, Curve, Marker, Panel
+from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, Curve, Marker, Panel, scale_of
 from flexfmu.cosim.reports.comparison import ComparedRun, first_tiles, metrics_table, signal_plots
 from flexfmu.cosim.reports.page import Page, Plot, Table
 from flexfmu.cosim.reports.plots import to_scale
@@ -56,15 +56,11 @@ DASHED, DOTTED = "5,3", "2,2"
 BORDER, DENSE, LONG = 0.2, 0.02, 2.0
 """Border about the paths, relative to their size; distance of points of outlines, relative to that; half the length of lines [m]."""
 
-
 FRONT = ("time", "residual", "torque", "energy", "off_path")
 """Figures that the Pareto front weighs against each other."""
 
 BINDING = 0.98
 """Used share of a limit from which on the verdict names it."""
-
-LEAST = 1e-3
-"""Smallest residual vibration on a logarithmic axis [µm]."""
 
 ALIKE = 1e-3
 """Relative difference of all figures of a front below which the front has one of two motions."""
@@ -86,7 +82,6 @@ class DriveTable:
     Attributes:
         rate: samples a second.
         unit: of the angles: rad, deg, turn or count.
-        per_radian: how many of it are 1 rad.
         values: positions, velocities and accelerations (3, N, 2) in the unit and s, whole numbers of counts.
         torque: feedforward of both motors for the scene's own payload (N, 2) [N m].
         use: the residual vibration that the samples leave over the bands, with its limit: the FMU follows quintics through position,
@@ -95,7 +90,6 @@ class DriveTable:
 
     rate: float
     unit: str
-    per_radian: float
     values: RealArray
     torque: RealArray
     use: Limit
@@ -186,8 +180,8 @@ class PlanResult(Rows):
     @cached_property
     def ways(self) -> tuple[tuple[Assessment, Assessment], ...]:
         """The given and the chosen motion of each way of a cycle, from rest; empty for a single motion."""
-        pairs = (self.judge.of_ways(each.candidate, given=each is self.given) for each in (self.given, self.chosen))
-        return tuple(zip(*pairs, strict=True))
+        given, chosen = (self.judge.of_ways(each.candidate) for each in (self.given, self.chosen))
+        return tuple(zip(given, chosen, strict=True))
 
     @property
     def metrics(self) -> RunMetrics:
@@ -224,10 +218,8 @@ class PlanResult(Rows):
             run = way.prepared(step=1.0 / rate).run()
             joints = run.plan.joints
             # up to the first sample at rest; in a cycle up to that before the next motion
-            moving = math.ceil(joints.duration * rate - SHARE)
-            steps = moving
-            if judge.goals.ways:
-                steps = max(steps, math.ceil((joints.duration + goals.standstill) * rate - SHARE) - 1)
+            pause, moving = goals.standstill if candidate.ways else 0.0, math.ceil(joints.duration * rate - SHARE)
+            steps = max(moving, math.ceil((joints.duration + pause) * rate - SHARE) - 1)
             instants = np.arange(steps + 1) / rate
             angles = per_radian * joints.evaluate(np.minimum(instants, joints.duration), 2, "right")
             angles[1:, instants >= joints.duration - SHARE / rate] = 0.0
@@ -243,7 +235,7 @@ class PlanResult(Rows):
             use = judge.assess(replace(parts[0], ways=tuple(parts) if judge.goals.ways else ())).uses[0]
         use = replace(use.used(math.inf, failures[0]) if failures else use, figure="residual of the samples")
         unit = unit if counts is None else "count"
-        return DriveTable(rate, unit, per_radian, np.concatenate(values, axis=1), np.concatenate(torques), use)
+        return DriveTable(rate, unit, np.concatenate(values, axis=1), np.concatenate(torques), use)
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -312,10 +304,8 @@ class PlanResult(Rows):
         along, *names = self.axes
         panels, marked = list[Panel](), {self.given: "given", self.chosen: "chosen"}
         for name in names:
-            is_residual, curves = name == "residual", list[Curve]()
-            # logarithmic for residual vibrations
-            values = {each: definition(name).displayed(each.worst(name)) for each in motions}
-            places = {each: (each.worst(along), max(y, LEAST) if is_residual else y) for each, y in values.items()}
+            info, curves = definition(name), list[Curve]()
+            places = {each: (each.worst(along), info.displayed(each.worst(name))) for each in motions}
             for is_kept, group, colour in ((True, "limits kept", PALETTE[0]), (False, "limits missed", PALETTE[1])):
                 if some := [each for each in places if each.feasible == is_kept]:
                     x, y = np.array([places[each] for each in some]).T
@@ -327,8 +317,8 @@ class PlanResult(Rows):
                 for each, text in marked.items()
                 if each in places
             ]
-            scale, level = ("y", 1e6 * self.goals.wishes.residual) if is_residual else ("", None)
-            label = heading(name).replace(" [", "\n[")
+            level = info.displayed(self.goals.wishes.residual) if name == "residual" else None
+            label, scale = heading(name).replace(" [", "\n["), scale_of([y for _, y in places.values()])
             panels.append(Panel(label, curves, markers, is_function=False, logarithmic=scale, level=level))
         return Plot("front", "Pareto front", caption, tuple(panels), heading(along), 330.0)
 
@@ -386,9 +376,8 @@ def write_scene(result: PlanResult, path: Path) -> list[Path]:
         TrajectoryError: the motion can't be written.
     """
     chosen, paths = result.chosen.candidate, [path]
-    scenes = [(result.scene, chosen.trajectory)]
+    scenes = [(way.scene, way.trajectory) for way in chosen.ways] or [(result.scene, chosen.trajectory)]
     if chosen.ways:
-        scenes = [(way.scene, way.trajectory) for way in chosen.ways]
         paths = [path.with_stem(f"{path.stem}-{number}") for number in range(1, len(scenes) + 1)]
     return [each for one, there in zip(scenes, paths, strict=True) for each in _write_motion(result, *one, there)]
 

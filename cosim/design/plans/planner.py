@@ -81,7 +81,10 @@ ELEMENTS, ELEMENT_STEP, ELEMENT_DWELL = 4, 2.5e-4, 0.06
 SAMPLE_TIME, COUNTS, MOTOR_INERTIA = 1e-3, 1e6, 0.1
 """Of the loops: sample time [s], encoder counts a turn, and inertia of motors without one [kg.m2]."""
 
-USUAL_LOOP: Mapping[str, Any] = {
+ENCODERS = f"encoders of {COUNTS:.0e} counts, "
+"""What to know of them."""
+
+USUAL_LOOP: dict[str, Any] = {
     "cosimulation.drive": "torque", "imperfection": [{"kind": "encoder", "counts_per_turn": COUNTS}], "filter": []
 }  # fmt: skip
 """Keys of motors that follow by a loop with encoders."""
@@ -158,7 +161,7 @@ def plan_scene(
     PreparedScene(scene).check_size(companion=False)
     judge, is_new = Judge(goals, journal=journal), not journal.done
     try:
-        check_holding_torque(goals, dict(zip(judge.robots, judge.given.values["torque"].tolist(), strict=True)))
+        check_holding_torque(goals, judge.robots, judge.given.values["torque"])
     except InputError:
         # another plan may begin in its folder
         if is_new:
@@ -166,8 +169,7 @@ def plan_scene(
         raise
     found, failures = [judge.given], list[str]()
     # what is planned otherwise than the scene says
-    start = goals.given.once.joints.evaluate([0.0], 0, "right")[0, 0]
-    away = float(np.hypot(*(static_equilibrium(goals.scene, start).position - goals.trace[0])))
+    away = float(np.hypot(*(static_equilibrium(goals.scene, goals.ends[0]).position - goals.trace[0])))
     if scene.cosimulation.initial == "undeformed" and away > NO_SAG:
         failures.append(
             f'`cosimulation.initial = "undeformed"` starts {1e6 * away:.3g} µm off the equilibrium, and the robot swings from there '
@@ -190,7 +192,7 @@ def plan_scene(
         with noted(failures, candidate.label):
             found.append(judge.assess(candidate))
 
-    interrupted = False
+    lines, interrupted = list[RobustnessLine](), False
     try:
         for candidate in proposed():
             if isinstance(candidate, str):
@@ -199,19 +201,16 @@ def plan_scene(
             assess(candidate)
             chosen = best(found, goals.wishes.minimise)
             watched(f"{chosen.time:.4g} s, {1e6 * chosen.residual:.2g} µm: {chosen.candidate.label}", None)
+        chosen = best(found, goals.wishes.minimise)
+        for line in robustness(chosen.candidate, goals, journal=journal) if robust else ():
+            show(f"the chosen motion in other models: {line.model}", None)
+            lines.append(line)
     except KeyboardInterrupt as interruption:
         interrupted = True
         # what was being improved
         for each in interruption.args:
             assess(each)
-    chosen, lines = best(found, goals.wishes.minimise), list[RobustnessLine]()
-    try:
-        for line in robustness(chosen.candidate, goals, journal=journal) if robust and not interrupted else ():
-            show(f"the chosen motion in other models: {line.model}", None)
-            lines.append(line)
-    except KeyboardInterrupt:
-        interrupted = True
-    work = processor_time() - work
+    chosen, work = best(found, goals.wishes.minimise), processor_time() - work
     return PlanResult(goals, judge.given, chosen, tuple(found[1:]), tuple(failures), interrupted, work, tuple(lines))
 
 
@@ -244,38 +243,35 @@ def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOW
     families = ("proximal_bending", "proximal_axial", "distal_bending", "distal_axial")
     richest: dict[str, Any] = {key: value for changes in RICHER.values() for key, value in changes.items()}
     richest |= {f"effects.{key}": max(3, getattr(effects, key)) for key in families}
-    robots = {name: (changes, 1.0, 1.0) for name, changes in RICHER.items()}
+    content = fixed.content
+
+    def line(name: str, judged: Callable[..., RobustnessLine], *arguments: Any) -> RobustnessLine:
+        # or that there is none and why
+        failures = list[str]()
+        with noted(failures):
+            made = partial(judged, name, fixed, *arguments)
+            return journal.kept(("robustness", name, content), RobustnessLine, made)
+        return RobustnessLine(name, nan, "", note=failures[0])
+
+    for name, changes in RICHER.items():
+        yield line(name, _assessed, goals, changes, 1.0, 1.0)
     for name, (stiffness, damping) in BANDS.items():
         if damping == 1.0 or not isinstance(effects.damping, NoDampingSection):
-            robots[f"{RICHEST}{name}"] = richest, stiffness, damping
-    lines: dict[str, Callable[[str], RobustnessLine]]
-    lines = {name: partial(_assessed, fixed, goals, *robot) for name, robot in robots.items()}
-    lines["finite elements"] = partial(_by_elements, fixed, goals)
+            yield line(f"{RICHEST}{name}", _assessed, goals, richest, stiffness, damping)
+    yield line("finite elements", _by_elements, goals.scene)
     if goals.loop is None:
-        where = f"{goals.scene.payload.mass:g} kg"
+        loop = USUAL_LOOP | {"effects.motor_inertia": effects.motor_inertia or MOTOR_INERTIA}
         for name, controllers in LOOPS.items():
-            changes = {
-                **USUAL_LOOP,
-                "controller": controllers,
-                "effects.motor_inertia": effects.motor_inertia or MOTOR_INERTIA,
-            }
-            lines[name] = partial(_in_a_loop, goals.scene, changes, fixed, where)
-    else:
-        loop = with_learned_torques(goals.loop, candidate.joints, goals.scene.trajectory.dwell)
-        for mass in dict.fromkeys(goals.band):
-            where = f"{mass:g} kg"
-            lines[f"the scene's loop, {where}"] = partial(_in_a_loop, loop, _other_payload(loop, mass), fixed, where)
-    # each of them, or that there is none and why
-    content = fixed.content
-    for name, line in lines.items():
-        found, failures = list[RobustnessLine](), list[str]()
-        with noted(failures):
-            found.append(journal.kept(("robustness", name, content), RobustnessLine, partial(line, name)))
-        yield from found or [RobustnessLine(name, nan, "", note=failures[0])]
+            changes = {**loop, "controller": controllers}
+            yield line(name, _in_a_loop, goals.scene, changes, goals.scene.payload.mass, ENCODERS)
+        return
+    own = with_learned_torques(goals.loop, candidate.joints, goals.scene.trajectory.dwell)
+    for mass in dict.fromkeys(goals.band):
+        yield line(f"the scene's loop, {mass:g} kg", _in_a_loop, own, _other_payload(own, mass), mass)
 
 
 def _assessed(
-    fixed: Candidate, goals: Goals, changes: Mapping[str, Any], stiffness: float, damping: float, name: str
+    name: str, fixed: Candidate, goals: Goals, changes: Mapping[str, Any], stiffness: float, damping: float
 ) -> RobustnessLine:
     """The line of another model of the robot."""
     scene = goals.scene.replace({**changes}) if changes else goals.scene
@@ -286,10 +282,9 @@ def _assessed(
     return RobustnessLine(name, found.residual, worst, found.torque_ratio, found.off_path, found.uses)
 
 
-def _by_elements(fixed: Candidate, goals: Goals, name: str) -> RobustnessLine:
+def _by_elements(name: str, fixed: Candidate, scene: Scene) -> RobustnessLine:
     """The finite elements with the planned payload: as damped, at their lowest frequency, as the planned model."""
-    assert fixed.trajectory is not None
-    scene, motion = goals.scene, fixed.trajectory
+    motion = fixed.joints
     end = motion.evaluate([motion.duration], 0, "left")[0, 0]
     modes = damped_modes(scene, end)
     time = 2.0 * float(modes.ratios[0]) / (2.0 * np.pi * float(modes.frequencies[0])) if len(modes.ratios) else 0.0
@@ -313,8 +308,9 @@ def _other_payload(loop: Scene, mass: float) -> Mapping[str, Any]:
     return {"imperfection": [*loop.model_dump(exclude_none=True)["imperfection"], payload]}
 
 
-def _in_a_loop(scene: Scene, changes: Mapping[str, Any], fixed: Candidate, where: str, name: str) -> RobustnessLine:
-    """The line of a loop: a scene with changes."""
-    residual, note = left_in_loop(scene.replace({**changes}), fixed.joints, fixed.scene.trajectory.dwell)
-    note = f"encoders of {COUNTS:.0e} counts, {note}" if name in LOOPS else note
-    return RobustnessLine(name, residual, where, note=note)
+def _in_a_loop(
+    name: str, fixed: Candidate, scene: Scene, changes: Mapping[str, Any], mass: float, note: str = ""
+) -> RobustnessLine:
+    """The line of a loop, a scene with changes, that carries a mass [kg]."""
+    residual, error = left_in_loop(scene.replace({**changes}), fixed.joints, fixed.scene.trajectory.dwell)
+    return RobustnessLine(name, residual, f"{mass:g} kg", note=f"{note}{error}")

@@ -239,7 +239,7 @@ def test_what_a_way_leaves_swings_on_in_the_next_as_in_the_fmu() -> None:
     little = {"effects.damping": {"kind": "modal", "ratio": 0.02}, "trajectory.dwell": 0.3}
     scene = CYCLE.replace(little | {"plan.cycle": {"return_payload": 6.0, "pause": 0.05}})
     judge = Judge(goals_of(scene), 1)
-    found, alone = judge.given, judge.of_ways(judge.given.candidate, given=True)
+    found, alone = judge.given, judge.of_ways(judge.given.candidate)
     cycles = {"trajectory.way_back": "same-path", "trajectory.cycles": 3, "trajectory.pause": 0.05}
     run = flexfmu.run(scene.replace(cycles | {"plan.cycle": None}), tolerance=1e-8)
     time, recording = run.recording.time, run.recording

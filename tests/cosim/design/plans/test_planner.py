@@ -109,7 +109,7 @@ def test_an_assessment_has_the_metrics_of_the_run(result: PlanResult) -> None:
 def test_settling_leaves_time_for_the_vibration_to_fade() -> None:
     candidate = Candidate("given", "given", GOALS.scene)
     at_once, later = (
-        Judge(goals_of(SCENE.replace({"plan.settled_within": wait})), 1).assess(candidate, given=True).residual
+        Judge(goals_of(SCENE.replace({"plan.settled_within": wait})), 1).assess(candidate).residual
         for wait in (0.0, 0.1)
     )
     assert later < 0.5 * at_once
@@ -290,18 +290,16 @@ def test_an_empty_gripper_is_planned(band: float | list[float], heaviest: float)
 
 
 @cache
-def _at_rest() -> tuple[dict[Variation, Any], float]:
-    """Torques of the given motion, and the largest ratio of one at rest, before the motion or long after it, to them, by the FMU."""
-    shares = list[float]()
-    judge = Judge(GOALS, 2)
-    given = dict(zip(judge.robots, judge.given.values["torque"], strict=True))
+def _at_rest() -> tuple[Judge, float]:
+    """The judge of the given motion, and the largest ratio of a torque at rest, before the motion or long after it, to its largest, by the FMU."""
+    judge, shares = Judge(GOALS, 2), list[float]()
     scene = SCENE.replace({"trajectory.dwell": 1.5, "effects.damping": {"kind": "modal", "ratio": 0.3}})
-    for variation, torques in given.items():
+    for variation, torques in zip(judge.robots, judge.given.values["torque"], strict=True):
         recording = flexfmu.run(scene.replace({"payload.mass": variation.payload}), tolerance=1e-8).recording
         for joint, largest in enumerate(torques, 1):
             torque = np.abs(recording[f"joint{joint}.torque"].values)
             shares += [float(torque[k]) / largest for k in (0, -1)]
-    return given, max(shares)
+    return judge, max(shares)
 
 
 @settings(max_examples=12)
@@ -309,11 +307,11 @@ def _at_rest() -> tuple[dict[Variation, Any], float]:
 def test_a_ratio_below_the_holding_torque_is_refused_at_once(shift: float) -> None:
     """Exactly those below what the FMU needs at rest, relative to the given motion's peak, for any payload and joint."""
     assume(abs(shift) >= 1e-4)
-    given, share = _at_rest()
+    judge, share = _at_rest()
     goals = goals_of(SCENE.replace({"plan.limits.torque": {"ratio": (1.0 + shift) * share}}))
     refused = pytest.raises(InputError, match="against gravity: allow more, or carry less")
     with refused if shift < 0.0 else nullcontext():
-        check_holding_torque(goals, given)
+        check_holding_torque(goals, judge.robots, judge.given.values["torque"])
 
 
 @settings(max_examples=8)
