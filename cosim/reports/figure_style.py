@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
 from importlib.resources import files
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import matplotlib
@@ -26,8 +27,11 @@ _LIGHT = files("flexfmu.cosim.reports").joinpath("templates/page.css").read_text
 COLOURS = {f"var({name})": colour for name, colour in re.findall(r"(--\w+): (#\w+)", _LIGHT)}
 """Variable of a page → its colour on white."""
 
-WIDTH, HEADING, TITLE, LETTERS = 460.0, 58.0, 26.0, 92
-"""Width of a plot, height of what stands above and below its panels and of a figure's title [pt], and letters across a plot's legend."""
+WIDTH, HEADING, TITLE = 460.0, 58.0, 26.0
+"""Width of a plot, height of what stands above and below its panels and of a figure's title [pt]."""
+
+LETTERS, BOLD = 92, 64
+"""Letters across a plot's legend, and across its title."""
 
 STAIRS = 6
 """Heights at which the texts of marks stand, one after the other."""
@@ -111,16 +115,16 @@ def figure_of(plots: Iterable[Plot], title: str = "", columns: int = 1) -> Figur
                 draw_panel(axes, panel, plot.x_label if axes is panels[-1] else "")
                 axes.tick_params(which="both", labelbottom=axes is panels[-1])
                 for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-                    labelled.setdefault(label, handle)
+                    labelled.setdefault(fill(label, LETTERS), handle)
             # the legend stands above, where no curve is, with the title
             if labelled:
                 panels[0].legend(
-                    labelled.values(), labelled.keys(), title=plot.title, title_fontproperties={"weight": "bold", "size": 10},
+                    labelled.values(), labelled.keys(), title=fill(plot.title, BOLD), title_fontproperties={"weight": "bold", "size": 10},
                     alignment="left", loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, borderpad=0.0, fontsize=8,
                     ncols=max(1, LETTERS // (8 + max(map(len, labelled)))),
                 )  # fmt: skip
             else:
-                panels[0].set_title(plot.title)
+                panels[0].set_title(fill(plot.title, BOLD))
     return figure
 
 
@@ -174,21 +178,6 @@ def draw_panel(axes: Axes, panel: chart.Panel, x_label: str = "") -> None:
     axes.set(xlabel=x_label, ylabel=panel.label)
 
 
-def mark_end(axes: Axes, duration: float, text: str = "end of motion") -> None:
-    """Draw a dashed vertical line with a label at the end of the motion, ``duration`` in the axes' unit of time."""
-    axes.axvline(duration, color=GREY, linewidth=1.0, linestyle=(0, (4, 3)))
-    axes.annotate(
-        text,
-        (duration, 1.0),
-        xycoords=("data", "axes fraction"),
-        xytext=(4, -3),
-        textcoords="offset points",
-        va="top",
-        fontsize=8,
-        color=GREY,
-    )
-
-
 class PlainNumbers(LogFormatter):
     """0.1, 10 and 20 instead of powers of ten, as many as there is room for; each axis needs its own formatter, which follows its range."""
 
@@ -199,10 +188,3 @@ class PlainNumbers(LogFormatter):
 
     def __call__(self, x: float, pos: int | None = None) -> str:
         return f"{x:g}" if super().__call__(x, pos) and f"{x:e}"[0] not in self.skipped else ""
-
-
-def logarithmic(axes: Axes) -> None:
-    """Make the vertical axis logarithmic, with plain numbers."""
-    axes.set_yscale("log")
-    axes.yaxis.set_major_formatter(PlainNumbers())
-    axes.yaxis.set_minor_formatter(PlainNumbers())

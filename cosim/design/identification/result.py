@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -438,53 +438,46 @@ class Identification(Rows):
             simulated = (each.before, "before", PALETTE[1]), (each.after, "after", PALETTE[0])
             lines = [(each.time, each.measured, "measured", INK), *((each.time, *line) for line in simulated)]
             left = [(each.time, each.measured - y, label, colour) for y, label, colour in simulated]
-            title, unit = f"{each.name} of {each.log}", shown_unit(each.unit)
-            groups = {each.name: lines, "residual": left}
-            yield fitted_plot(f"signal-{number}", title, caption, unit, groups, x_label=each.axis)
-            if each.axis.startswith("time") and (spectra := spectra_of(left)):
-                panel, title = spectrum_panel(f"residual\n[{unit}]", spectra), f"Spectrum of {title}"
-                text = spectrum_caption("Residuals")
-                yield Plot(f"spectrum-{number}", title, text, (panel,), "frequency [Hz]")
+            title, groups = f"{each.name} of {each.log}", {each.name: lines, "residual": left}
+            unit = shown_unit(each.unit)
+            yield from fitted_plots(f"signal-{number}", title, caption, unit, groups, "residual", x_label=each.axis)
 
 
 Line = tuple[RealArray, RealArray, str, str]
 """Instants (N,), values (N,), label and colour of a curve."""
 
 
-def fitted_plot(
+def fitted_plots(
     key: str,
     title: str,
     caption: str,
     unit: str,
     groups: Mapping[str, Sequence[Line]],
+    ringing: str,
     most: int = MOST_POINTS // 2,
     x_label: str = "time [s]",
-) -> Plot:
-    """The plot of a measured signal beside simulated ones, and of their differences.
+) -> Iterator[Plot]:
+    """Yield the plot of a measured signal beside simulated ones, and of their differences, and over time the spectra of either.
 
     Args:
         key, title, caption: of the plot.
         unit: of all values, as it is shown.
         groups: what each panel shows → its lines.
+        ringing: the group of which spectra are shown; none of lines that are too short.
         most: largest number of points of a line.
         x_label: of the horizontal axis.
     """
-    panels = []
-    for what, lines in groups.items():
-        chosen = [(thinned(y, most), x, y, label, colour) for x, y, label, colour in lines]
-        curves = [Curve(x[some], y[some], label, colour) for some, x, y, label, colour in chosen]
-        panels.append(Panel(label=f"{what}\n[{unit}]", curves=curves))
-    return Plot(key, title, caption, tuple(panels), x_label, 260.0)
 
+    def curve(x: RealArray, y: RealArray, label: str, colour: str) -> Curve:
+        chosen = thinned(y, most)
+        return Curve(x[chosen], y[chosen], label, colour)
 
-def spectra_of(lines: Iterable[Line], most: int = MOST_POINTS) -> list[Curve]:
-    """The spectra of lines over time; none of those that are too short."""
-    found = list[Curve]()
-    for x, y, label, colour in lines:
-        if (each := spectrum(x, y, float(x[0]))) is not None:
-            chosen = thinned(each[1], most)
-            found.append(Curve(each[0][chosen], each[1][chosen], label, colour))
-    return found
+    panels = [Panel(f"{what}\n[{unit}]", [curve(*line) for line in lines]) for what, lines in groups.items()]
+    yield Plot(key, title, caption, tuple(panels), x_label, 260.0)
+    found = [(spectrum(x, y, float(x[0])), *look) for x, y, *look in groups[ringing] if x_label.startswith("time")]
+    if spectra := [curve(*each, *look) for each, *look in found if each is not None]:
+        panel, text = spectrum_panel(f"{ringing}\n[{unit}]", spectra), spectrum_caption(f"Amplitudes of {ringing}")
+        yield Plot(f"{key}-spectrum", f"Spectrum of {title}", text, (panel,), "frequency [Hz]")
 
 
 def identified_robots(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import cycle, product
 from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,8 @@ from flexfmu.cosim.engine.errors import InputError, SignalFileError
 from flexfmu.cosim.engine.files import replacing
 from flexfmu.cosim.engine.measured import table_of
 from flexfmu.cosim.engine.showing import UNITS, Rows
+from flexfmu.cosim.reports.chart import PALETTE, Curve, Panel
+from flexfmu.cosim.reports.page import Plot
 from flexfmu.errors import read_text
 from flexfmu.trajectories.jets import RealArray
 
@@ -239,9 +241,30 @@ class FrequencyResponse(Rows):
         errors = None if self.standard_error is None else self.standard_error.reshape(flat)
         return Modes(self, *fitted_modes(self.frequency, self.response.reshape(flat), errors, self.sample_time, count))
 
-    def plot(self) -> Figure:
-        """Magnitude with its standard error [dB], phase [degrees] and coherence over the frequency [Hz], a curve for each pair."""
-        return _drawn(self, ())
+    def plot(self, marks: Sequence[float] = ()) -> Figure:
+        """Magnitude with its standard error [dB], phase [degrees] and coherence over the frequency [Hz], a curve for each pair.
+
+        Args:
+            marks: frequencies that are marked [Hz].
+        """
+        from flexfmu.cosim.reports.figure_style import figure_of  # Matplotlib takes longer than most commands
+
+        f, error = self.frequency, 0.0 if self.standard_error is None else self.standard_error
+        sizes, phases = np.abs(self.response), np.degrees(np.unwrap(np.angle(self.response), axis=0))
+        low, high = (20.0 * np.log10(np.maximum(each, 1e-3 * sizes)) for each in (sizes - error, sizes + error))
+        shown: dict[str, list[Curve]] = {"magnitude [dB]": [], "phase [°]": [], "coherence": []}
+        gains, angles, shares = shown.values()
+        for (o, i), colour in zip(np.ndindex(sizes.shape[1:]), cycle(PALETTE), strict=False):
+            # the area within the standard error, and the curve
+            around = np.append(low[:, o, i], high[::-1, o, i])
+            gains.append(Curve(np.append(f, f[::-1]), around, colour=colour, width=0.0, fill=0.3))
+            gains.append(Curve(f, 20.0 * np.log10(sizes[:, o, i]), f"{self.outputs[o]} / {self.inputs[i]}", colour))
+            angles.append(Curve(f, phases[:, o, i], colour=colour))
+            if self.coherence is not None and not i:
+                shares.append(Curve(f, self.coherence[:, o], colour=colour))
+        lines = [(each, "") for each in marks]
+        panels = tuple(Panel(label, each, logarithmic="x", marks=lines) for label, each in shown.items() if each)
+        return figure_of([Plot("response", "Frequency response", "", panels, "frequency [Hz]", 380.0)])
 
 
 def as_response(source: FrequencyResponse | str | Path | None) -> FrequencyResponse | None:
@@ -281,32 +304,7 @@ class Modes(Rows):
 
     def plot(self) -> Figure:
         """The response with its modes."""
-        return _drawn(self.response, [float(each.frequency) for each in self.modes])
-
-
-def _drawn(response: FrequencyResponse, modes: Sequence[float]) -> Figure:
-    from flexfmu.cosim.reports.figure_style import GREY, draw, style  # Matplotlib takes longer than most commands
-
-    f, error = response.frequency, 0.0 if response.standard_error is None else response.standard_error
-    sizes, phases = np.abs(response.response), np.degrees(np.unwrap(np.angle(response.response), axis=0))
-    low, high = (20.0 * np.log10(np.maximum(each, 1e-3 * sizes)) for each in (sizes - error, sizes + error))
-    with style():
-        figure = draw(8.0, 6.0)
-        axes = figure.subplots(2 if response.coherence is None else 3, 1, sharex=True)
-        for o, i in np.ndindex(sizes.shape[1:]):
-            label = f"{response.outputs[o]} / {response.inputs[i]}"
-            (line,) = axes[0].semilogx(f, 20.0 * np.log10(sizes[:, o, i]), label=label)
-            axes[0].fill_between(f, low[:, o, i], high[:, o, i], color=line.get_color(), alpha=0.3, linewidth=0.0)
-            axes[1].semilogx(f, phases[:, o, i], color=line.get_color())
-        if response.coherence is not None:
-            axes[2].semilogx(f, response.coherence)
-        for each, text in zip(axes, ("magnitude [dB]", "phase [°]", "coherence"), strict=False):
-            each.set_ylabel(text)
-            for frequency in modes:
-                each.axvline(frequency, color=GREY, linewidth=0.8, linestyle=":")
-        axes[0].legend(fontsize=7.5)
-        axes[-1].set_xlabel("frequency [Hz]")
-    return figure
+        return self.response.plot([float(each.frequency) for each in self.modes])
 
 
 def _from_csv(path: Path) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flexfmu.cosim.design.identification.result import fitted_plot, spectra_of
+from flexfmu.cosim.design.identification.result import fitted_plots
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import to_json, write_whole
 from flexfmu.cosim.engine.measured import (
@@ -40,7 +40,6 @@ from flexfmu.cosim.reports.comparison import (
     signal_plots,
 )
 from flexfmu.cosim.reports.page import Plot, Table
-from flexfmu.cosim.reports.spectrum import spectrum_caption, spectrum_panel
 
 POINTS, FEWEST = 12000, 40
 """Number of points that all curves of measured signals have together, and of one curve at least: they limit the size of the page."""
@@ -313,26 +312,17 @@ def _sampled(recording: Recording, name: str) -> TimedValues:
 
 
 def _measured_plots(runs: Sequence[ComparedRun], measured: Measured) -> Iterator[Plot]:
-    """Yield measured and simulated values, and their difference, of each signal; then the spectra."""
-    spectra = []
+    """Yield measured and simulated values, and their difference, of each signal, and its spectra."""
     most = min(max(POINTS // (4 * len(runs) * len(measured.recording.columns)), FEWEST), MOST_POINTS)
+    text = f"{measured.name}, {delay_text(measured.delay)}, and simulated."
     for number, name in enumerate(measured.recording.columns):
-        unit = shown_unit(measured.recording[name].unit)
         compared = [(run.name, measured.differences[run.name].get(name)) for run in runs]
         coloured = [
             (run, each, PALETTE[i % len(PALETTE)]) for i, (run, each) in enumerate(compared) if each is not None
         ]
-        if not coloured:
-            continue
-        first = coloured[0][1]
-        lines = [(first.time, first.measured, measured.name, INK)]
-        lines += [(each.time, each.simulated, run, colour) for run, each, colour in coloured]
-        differing = [(each.time, each.values, run, colour) for run, each, colour in coloured]
-        text = f"{measured.name}, {delay_text(measured.delay)}, and simulated."
-        yield fitted_plot(f"measured-{number}", name, text, unit, {name: lines, "difference": differing}, most)
-        if amplitudes := spectra_of(lines, most):
-            spectra.append(spectrum_panel(f"{name}\n[{unit}]", amplitudes))
-    if spectra:
-        title, text = "Spectra of measured signals", spectrum_caption("Measured and simulated signals")
-        height = 90.0 + 100.0 * len(spectra)
-        yield Plot("measured-spectra", title, text, tuple(spectra), "frequency [Hz]", height)
+        if coloured:
+            lines = [(coloured[0][1].time, coloured[0][1].measured, measured.name, INK)]
+            lines += [(each.time, each.simulated, run, colour) for run, each, colour in coloured]
+            differing = [(each.time, each.values, run, colour) for run, each, colour in coloured]
+            unit, groups = shown_unit(measured.recording[name].unit), {name: lines, "difference": differing}
+            yield from fitted_plots(f"measured-{number}", name, text, unit, groups, name, most)
