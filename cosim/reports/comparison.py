@@ -13,7 +13,7 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition, display
-from flexfmu.cosim.reports.chart import MOST_POINTS, PALETTE, Curve, Panel, thinned
+from flexfmu.cosim.reports.chart import MOST_POINTS, PALETTE, Curve, Panel
 from flexfmu.cosim.reports.page import FIRST_METRICS, TILES, Figure, Page, Plot, Table
 from flexfmu.cosim.reports.report import of_scene
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
@@ -227,11 +227,12 @@ def signal_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
             panels += [panel] if panel.curves else []
         if panels:
             height = 90.0 + 100.0 * len(panels)
-            yield Plot(f"compared-{number}", title, caption, tuple(panels), x_label, height)
+            most = min(max(POINTS // len(runs), FEWEST), MOST_POINTS)
+            yield Plot(f"compared-{number}", title, caption, tuple(panels), x_label, height, most)
 
 
 def _curves(runs: Sequence[ComparedRun], of: str, factor: float) -> list[Curve]:
-    """Return what all runs that have it are drawn by, as many points as a curve may have; of one that failed what is near the others."""
+    """Return what all runs that have it are drawn by; of one that failed what is near the others."""
     found, curves = [_values(run, of) for run in runs], list[Curve]()
     known = [each[1] for each, run in zip(found, runs, strict=True) if each and each[1].size and not run.failure]
     low, high = (float(pick([float(pick(each)) for each in known] or [0.0])) for pick in (np.nanmin, np.nanmax))
@@ -239,11 +240,8 @@ def _curves(runs: Sequence[ComparedRun], of: str, factor: float) -> list[Curve]:
         if each is None:
             continue
         x, y = each
-        if not of.startswith("spectrum"):
-            if run.failure and known:
-                y = np.where(abs(y - 0.5 * (low + high)) <= BEYOND * (high - low), y, np.nan)
-            chosen = thinned(y, min(max(POINTS // len(runs), FEWEST), MOST_POINTS))
-            x, y = x[chosen], y[chosen]
+        if run.failure and known and not of.startswith("spectrum"):
+            y = np.where(abs(y - 0.5 * (low + high)) <= BEYOND * (high - low), y, np.nan)
         dashes, source = DASHED if number >= len(PALETTE) else "", {"of": of, "factor": factor, "run": number}
         colour = PALETTE[number % len(PALETTE)]
         curves.append(Curve(x, factor * y, run.name, colour, dashes=dashes, source=source))

@@ -16,7 +16,7 @@ from flexfmu.cosim.engine.files import to_json, write_whole
 from flexfmu.cosim.engine.showing import Rows, csv_text, few_lines, html_table, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.parameters import scene_values
-from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE, Curve, Panel, thinned
+from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE, Curve, Panel
 from flexfmu.cosim.reports.page import Page, Plot, Table
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 from flexfmu.errors import read_text
@@ -467,17 +467,12 @@ def fitted_plots(
         most: largest number of points of a line.
         x_label: of the horizontal axis.
     """
-
-    def curve(x: RealArray, y: RealArray, label: str, colour: str) -> Curve:
-        chosen = thinned(y, most)
-        return Curve(x[chosen], y[chosen], label, colour)
-
-    panels = [Panel(f"{what}\n[{unit}]", [curve(*line) for line in lines]) for what, lines in groups.items()]
-    yield Plot(key, title, caption, tuple(panels), x_label, 260.0)
+    panels = [Panel(f"{what}\n[{unit}]", [Curve(*line) for line in lines]) for what, lines in groups.items()]
+    yield Plot(key, title, caption, tuple(panels), x_label, 260.0, most)
     found = [(spectrum(x, y, float(x[0])), *look) for x, y, *look in groups[ringing] if x_label.startswith("time")]
-    if spectra := [curve(*each, *look) for each, *look in found if each is not None]:
+    if spectra := [Curve(*each, *look) for each, *look in found if each is not None]:
         panel, text = spectrum_panel(f"{ringing}\n[{unit}]", spectra), spectrum_caption(f"Amplitudes of {ringing}")
-        yield Plot(f"{key}-spectrum", f"Spectrum of {title}", text, (panel,), "frequency [Hz]")
+        yield Plot(f"{key}-spectrum", f"Spectrum of {title}", text, (panel,), "frequency [Hz]", points=most)
 
 
 def identified_robots(
