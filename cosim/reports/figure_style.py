@@ -6,11 +6,13 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
 from importlib.resources import files
+from math import isfinite
 from pathlib import Path
 from textwrap import fill
 from typing import Any
 
 import matplotlib
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter, MaxNLocator
@@ -96,17 +98,18 @@ def figure_of(plots: Iterable[Plot], title: str = "", columns: int = 1) -> Figur
     """Return plots as one figure, the panels of each below each other, with their common legend above.
 
     Args:
-        plots: at least one.
+        plots: without any the figure is empty.
         title: of the figure; empty for none.
         columns: number of plots beside each other.
     """
     shown = [*plots]
+    columns = max(1, min(columns, len(shown)))
     rows = [shown[k : k + columns] for k in range(0, len(shown), columns)]
-    heights = [max(max(each.height, 80.0 * len(each.panels)) for each in row) + HEADING for row in rows]
+    heights = [max(max(each.height, 80.0 * len(each.panels)) for each in row) + HEADING for row in rows] or [HEADING]
     with style():
-        figure = draw(min(columns, len(shown)) * WIDTH / 72.0, (sum(heights) + TITLE * bool(title)) / 72.0)
+        figure = draw(columns * WIDTH / 72.0, (sum(heights) + TITLE * bool(title)) / 72.0)
         figure.suptitle(title, fontsize=10, wrap=True)
-        grid = figure.add_gridspec(len(rows), len(rows[0]), height_ratios=heights)
+        grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
         for number, plot in enumerate(shown):
             cells, labelled = grid[divmod(number, columns)].subgridspec(len(plot.panels), 1), dict[str, Any]()
             panels = [figure.add_subplot(cells[0, 0])]
@@ -146,7 +149,7 @@ def draw_panel(axes: Axes, panel: chart.Panel, x_label: str = "") -> None:
             area.set_label(str(line.get_label()))
             line.set_label(None)
     # levels and marks with their texts at the top, in turn lower
-    if panel.level is not None:
+    if panel.level is not None and isfinite(panel.level):
         axes.axhline(panel.level, color=GREY, linewidth=1.0, linestyle=DASHES)
     small: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8}
     for number, (x, text) in enumerate(panel.marks):
@@ -161,8 +164,8 @@ def draw_panel(axes: Axes, panel: chart.Panel, x_label: str = "") -> None:
         axes.annotate(each.text, (each.x, each.y), (each.offset[0], -each.offset[1]), ha=across, color=colour, **small)
     # axes
     axes.margins(x=0.01 if panel.is_function else 0.05)
-    for name, axis in zip("xy", (axes.xaxis, axes.yaxis), strict=True):
-        if name in panel.logarithmic:
+    for name, axis, least in zip("xy", (axes.xaxis, axes.yaxis), np.asarray(axes.dataLim.minpos), strict=True):
+        if name in panel.logarithmic and isfinite(least):
             axes.set(**{f"{name}scale": "log"})
             # 4 and 6 have no room beside each other
             axis.set_major_formatter(PlainNumbers("46" if name == "x" else ""))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from errno import ENOSPC
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -39,7 +40,7 @@ def test_a_picture_that_cannot_be_written_leaves_no_half_file(tmp_path: Path) ->
 
 @pytest.mark.parametrize("value", [0.0, 3.0, -2e-9])
 def test_a_constant_has_a_picture(value: float) -> None:
-    """A curve without extent, and none at all, leave finite coordinates, in the plain picture and in the data."""
+    """A curve without extent, and none at all, leave finite coordinates, in the plain picture and in the data; figures are drawn, too."""
     time = np.linspace(0.0, 1.0, 5)
     for curves in ([chart.Curve(time, np.full(5, value))], [], [chart.Curve(time, np.full(5, np.nan))]):
         text = chart.draw_chart("k", "t", (300.0, 200.0), "time [s]", [chart.Panel(label="x", curves=curves)])
@@ -48,9 +49,12 @@ def test_a_constant_has_a_picture(value: float) -> None:
         ElementTree.fromstring(f"<div>{plain[1]}</div>")
         assert "nan" not in plain[1]
         assert "inf" not in plain[1]
-        (panel,) = json.loads(text[text.index("{") : text.rindex("}") + 1])["panels"]
-        for given, curve in zip(panel["curves"], curves, strict=True):
+        (found,) = json.loads(text[text.index("{") : text.rindex("}") + 1])["panels"]
+        for given, curve in zip(found["curves"], curves, strict=True):
             np.testing.assert_allclose(chart.unpacked(given["xy"], 2), [curve.x, curve.y], rtol=1e-7)
+        for scale in ("", "y"):
+            panel = chart.Panel("x", curves, logarithmic=scale, level=np.nan)
+            figure_of([Plot("k", "t", "", (panel,))]).savefig(BytesIO())
 
 
 def test_a_figure_shows_what_the_page_shows() -> None:
@@ -64,6 +68,7 @@ def test_a_figure_shows_what_the_page_shows() -> None:
         Plot("p", "One", "", (above, below)),
         Plot("q", "Two", "", (chart.Panel("y", [area], is_to_scale=True),), "x"),
     ]
+    assert figure_of([], "None", 2).axes == []
     one, two, three = figure_of(plots, "Both", 2).axes
     assert [one.lines[0].get_color(), one.lines[1].get_color()] == [COLOURS[chart.SECOND], "#102030"]
     assert [one.lines[1].get_marker(), one.lines[1].get_linestyle()] == ["x", "None"]
