@@ -17,7 +17,7 @@ from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.clearance import Clearance, Polygon, clearance_of_trace, interpolated, lengths
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.cycles import Reversed
-from flexfmu.cosim.experiment.parameters import scene_with_parameters
+from flexfmu.cosim.experiment.parameters import scene_parameters, scene_with_parameters
 from flexfmu.cosim.experiment.planning import MotionPlan, plan, plan_own
 from flexfmu.model.reference_design.elastic_response import VariantModel
 from flexfmu.model.reference_design.loads import Drives
@@ -65,6 +65,9 @@ GRID = 160
 INSTANTS = 4001
 """Instants at which references are examined."""
 
+DAMPING = ("damping.ratio", "damping.rate", "damping.time")
+"""Parameters of the FMU that are strengths of the damping."""
+
 
 @dataclass(frozen=True)
 class Variation:
@@ -81,13 +84,11 @@ class Variation:
 
     def changes(self, scene: Scene) -> dict[str, float]:
         """Parameters of the FMU that differ from the scene's."""
+        factors = {"material.youngs_modulus": self.stiffness, **dict.fromkeys(DAMPING, self.damping)}
+        known = scene_parameters(scene)
+        found = {name: factor * known[name] for name, factor in factors.items() if factor != 1.0 and known[name]}
         # an FMU without a payload has no parameter for it
-        found = {"payload.mass": self.payload} if scene.payload.mass else {}
-        if self.stiffness != 1.0:
-            found["material.youngs_modulus"] = self.stiffness * scene.mechanism.material.youngs_modulus
-        if self.damping != 1.0:
-            found |= {f"damping.{key}": self.damping * value for key, value in damping_of(scene).items()}
-        return found
+        return found | ({"payload.mass": self.payload} if scene.payload.mass else {})
 
     def of(self, scene: Scene) -> Scene:
         """The scene of this robot."""
@@ -97,12 +98,6 @@ class Variation:
         text = f"{self.payload:g} kg"
         text += f", {100 * (self.stiffness - 1):+.0f} % stiffness" if self.stiffness != 1.0 else ""
         return text + (f", {100 * (self.damping - 1):+.0f} % damping" if self.damping != 1.0 else "")
-
-
-def damping_of(scene: Scene) -> dict[str, float]:
-    """Keys and values of the damping's strength; none without damping."""
-    damping = scene.effects.damping
-    return {key: value for key in ("ratio", "rate", "time") if (value := getattr(damping, key, 0.0))}
 
 
 @dataclass(frozen=True)
@@ -288,7 +283,7 @@ def _goals_of_motion(scene: Scene) -> Goals:
             )
         loop = _with_feedforward(scene)
         scene = scene.replace({"cosimulation.drive": "motion", **dict.fromkeys(LOOP_PARTS, ())})
-    if wishes.damping_band and not damping_of(scene):
+    if wishes.damping_band and not any(scene_parameters(scene)[name] for name in DAMPING):
         raise InputError(
             f"`plan.damping_band` = {wishes.damping_band:g}, but scene {scene.name} has no damping that could vary: "
             f"leave the band out, or set `effects.damping`"
