@@ -83,7 +83,6 @@ ALONE = {
     "cosim.design.identification.spectra": "experiments about an equilibrium",
     "cosim.design.margins.measured_loop": "a loop around a measured plant",
     "cosim.design.margins.pictures": "drawing",
-    "cosim.design.plans.designs": "families of motions",
     "cosim.design.plans.search": "a method of the planner",
     "cosim.design.response.modal_fit": "modes of a response",
     "cosim.design.shapers.figure": "drawing",

@@ -132,18 +132,16 @@ class ElasticResponse:
         """
         references = np.hstack(list(motion.evaluate(self.fractions)))
         by = motion.derivatives(self.fractions) if derivatives else None
-        return self.respond(references, motion.duration, by, by_duration=derivatives)
+        return self.respond(references, motion.duration, by)
 
-    def respond(
-        self, references: RealArray, duration: float, by: RealArray | None = None, *, by_duration: bool = False
-    ) -> Response:
+    def respond(self, references: RealArray, duration: float, by: RealArray | None = None) -> Response:
         """The response to joint references.
 
         Args:
             references: [q_a, v_a, a_a] at ``fractions``, (N, 6) [rad, rad/s, rad/s²].
             duration: duration T of the motion [s].
-            by: derivatives of the references by design variables at constant fractions, (N, 6, m); None for no derivatives.
-            by_duration: whether the last variable is T itself.
+            by: derivatives of the references by design variables at constant fractions, (N, 6, m), of which the last one is T; None for no
+                derivatives.
 
         Raises:
             EquilibriumError: Newton's method doesn't converge.
@@ -158,14 +156,12 @@ class ElasticResponse:
         else:
             linear = self._linearised(z, references, duration)
             values, explicit = linear.values, linear.by_references @ by.reshape(1, self.steps, 3, 6, -1)
-            if by_duration:
-                explicit[..., -1] += linear.by_duration
+            explicit[..., -1] += linear.by_duration
             matrices = _Matrices(linear, self.steps)
             out, end_by = matrices.derivatives(linear, explicit)
             self._matrices = matrices.kept(self._shared)
             end_by[:, 1] /= duration
-            if by_duration:
-                end_by[:, 1, :, -1] -= end[:, 1] / duration
+            end_by[:, 1, :, -1] -= end[:, 1] / duration
         torque, position, loads = np.split(values[..., n:], (2, 4), axis=2)
         of_time = references.reshape(-1, 3, 2).swapaxes(0, 1)
         return Response(
@@ -379,7 +375,7 @@ class FleetResponse:
 
     def respond(self, references: RealArray, duration: float, by: RealArray | None = None) -> Response:
         """The response to joint references (N, 6) at ``fractions``, as of `ElasticResponse`; the last variable is the duration."""
-        found = [part.respond(references, duration, by, by_duration=True) for part in self.parts]
+        found = [part.respond(references, duration, by) for part in self.parts]
         names = ("position", "torque", "end", "position_by", "torque_by", "end_by", "loads", "loads_by")
         whole: dict[str, Any] = {name: joined([getattr(each, name) for each in found]) for name in names}
         return replace(found[0], **whole)

@@ -21,8 +21,7 @@ from scipy.sparse.linalg import splu
 
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.reference_design.elastic_response import VariantModel
-from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis, knot_means
-from flexfmu.model.scene.errors import EquilibriumError
+from flexfmu.model.reference_design.joint_spline import JointSpline, basis, rest_matrix
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
@@ -107,20 +106,20 @@ def flexible_references(
             f"knots {knot_spacing:g} s apart are too few for references over {duration:g} s: at least {LEAST_INTERVALS} "
             f"intervals are needed, so reduce `knot_spacing` to {duration / LEAST_INTERVALS:.2g} s or less"
         )
-    knots = np.arange(2, intervals - 1) / intervals
-    targets = motion.evaluate(knots * duration - LEAD, 0)[0]
-    matrices = [basis(DEGREE, intervals, knots, k) / duration**k for k in range(3)]
-    # rest before and after the motion, and straight lines of the corrections between them as a first guess
+    # rest at both ends, and so many knots between them as there are free coefficients
+    knots = np.array([0, *range(2, intervals - 1), intervals]) / intervals
+    times, rest = knots * duration - LEAD, rest_matrix(intervals + DEGREE)
+    targets = motion.evaluate(times, 0)[0]
+    matrices = [basis(DEGREE, intervals, knots, k) @ rest / duration**k for k in range(3)]
+    # Newton's method over all coefficients, from the rigid robot's motion on
     model = VariantModel(scene, [{}])
-    ends = [_at_rest(model, rigid.evaluate(t, 0)[0, 0], motion.evaluate(t, 0)[0, 0]) for t in (0.0, motion.duration)]
-    guess = _guess(rigid, ends, intervals)
-    # Newton's method over all coefficients
-    free = slice(REST, intervals + DEGREE - REST)
+    free = np.zeros((len(knots), 2 + model.n))
+    free[:, :2] = rigid.evaluate(np.clip(times, 0.0, rigid.duration), 0)[0]
     for _ in range(ITERATIONS):
-        values, by = _linearised(model, *(matrix @ guess for matrix in matrices))
+        values, by = _linearised(model, *(matrix @ free for matrix in matrices))
         values[:, -2:] -= targets
-        change = splu(_assembled(matrices, by, free)).solve(values.ravel()).reshape(len(knots), -1)
-        guess[free] -= change
+        change = splu(_assembled(matrices, by)).solve(values.ravel()).reshape(free.shape)
+        free -= change
         largest = np.abs(change).max()
         if not largest > CONVERGED:
             break
@@ -129,7 +128,8 @@ def flexible_references(
             f"scene {scene.name}: no references of the motors make the flexible end effector follow the motion within "
             f"{duration:g} s; make it slower, or keep it away from singular poses"
         )
-    return FlexibleReferences(model, JointSpline(guess[:, :2].copy(), duration, DEGREE), guess[:, 2:].copy())
+    found = rest @ free
+    return FlexibleReferences(model, JointSpline(found[:, :2].copy(), duration, DEGREE), found[:, 2:].copy())
 
 
 def _linearised(model: VariantModel, y: RealArray, v: RealArray, a: RealArray) -> tuple[RealArray, RealArray]:
@@ -138,59 +138,19 @@ def _linearised(model: VariantModel, y: RealArray, v: RealArray, a: RealArray) -
     Returns:
         Shapes (N, m) and (N, m, 3, m) for y, v, a of shape (N, m).
     """
-    n, instants = model.n, len(y)
-    references = np.hstack([y[:, :2], v[:, :2], a[:, :2]])
-    values, by = (
-        x[0] for x in model.linearised(y[np.newaxis, :, 2:], v[np.newaxis, :, 2:], a[np.newaxis, :, 2:], references)
-    )
+    n, references = model.n, np.hstack([y[:, :2], v[:, :2], a[:, :2]])
+    values, by = model.linearised(y[np.newaxis, :, 2:], v[np.newaxis, :, 2:], a[np.newaxis, :, 2:], references)
     rows = [*range(n), n + 2, n + 3]
     # columns: each derivative with its joints first
-    joints, elastic = (
-        by[:, rows, 3 * n :].reshape(instants, n + 2, 3, 2),
-        by[:, rows, : 3 * n].reshape(instants, n + 2, 3, n),
-    )
-    return values[:, rows], np.concatenate([joints, elastic], axis=3)
+    elastic, joints = np.split(by[0][:, rows], [3 * n], axis=2)
+    shape = len(y), n + 2, 3, -1
+    return values[0][:, rows], np.concatenate([joints.reshape(shape), elastic.reshape(shape)], axis=3)
 
 
-def _at_rest(model: VariantModel, joints: RealArray, position: RealArray) -> RealArray:
-    """Motor angles and elastic coordinates (2 + n,) with which the robot rests with its end effector at a position [m].
-
-    Raises:
-        EquilibriumError: Newton's method doesn't converge.
-    """
-    zeros = np.zeros((1, 2 + model.n))
-    y = zeros.copy()
-    y[0, :2] = joints
-    for _ in range(ITERATIONS):
-        values, by = _linearised(model, y, zeros, zeros)
-        values[0, -2:] -= position
-        change = np.linalg.solve(by[0, :, 0], values[0])
-        y[0] -= change
-        if np.abs(change).max() < CONVERGED:
-            return np.asarray(y[0])
-    raise EquilibriumError(
-        f"the robot can't rest with its end effector at (x, y) = ({position[0]:g}, {position[1]:g}) m"
-    )
-
-
-def _guess(rigid: Trajectory, ends: list[RealArray], intervals: int) -> RealArray:
-    """Coefficients (intervals + `DEGREE`, 2 + n) of the rigid robot's motion, plus a straight line between corrections at rest."""
-    start, end = ends
-    means = knot_means(DEGREE, intervals)
-    duration = rigid.duration + 2.0 * LEAD
-    angles = rigid.evaluate(means * duration - LEAD, 0)[0]
-    still = rigid.evaluate([0.0, rigid.duration], 0)[0]
-    guess = start + means[:, np.newaxis] * (end - start)
-    guess[:, :2] += angles - still[0] - means[:, np.newaxis] * (still[1] - still[0])
-    guess[:REST], guess[-REST:] = start, end
-    return guess
-
-
-def _assembled(matrices: list[RealArray], by: RealArray, free: slice) -> csc_array:
+def _assembled(matrices: list[RealArray], by: RealArray) -> csc_array:
     """The matrix of Newton's method: of all values at all knots by all free coefficients."""
     # blocks of all values at a knot by all coefficients of one basis function
-    row, column = np.nonzero(matrices[0][:, free])
-    values = np.stack([matrix[:, free][row, column] for matrix in matrices], axis=1)
-    blocks = np.einsum("ik,iakb->iab", values, by[row])
+    row, column = np.nonzero(matrices[0])
+    blocks = np.einsum("ki,iakb->iab", np.stack([matrix[row, column] for matrix in matrices]), by[row])
     starts = np.searchsorted(row, np.arange(len(by) + 1))
     return bsr_array((blocks, column, starts)).tocsc()

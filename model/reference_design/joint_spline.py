@@ -42,6 +42,11 @@ class DesignedMotion(Protocol):
         ...
 
     @property
+    def variables(self) -> RealArray:
+        """What a design may change (m,)."""
+        ...
+
+    @property
     def room(self) -> tuple[RealArray, RealArray]:
         """Largest changes of the variables, down and up (m,)."""
         ...
@@ -136,9 +141,14 @@ class JointSpline:
         return np.array([row / self.duration**k for k, row in enumerate(rows)])
 
     @property
+    def variables(self) -> RealArray:
+        """Free coefficients of joint 1, of joint 2, and T."""
+        return np.append(self.coefficients[REST:-REST].T, self.duration)
+
+    @property
     def room(self) -> tuple[RealArray, RealArray]:
         """Largest changes of the variables: any."""
-        free = np.full(2 * (len(self.coefficients) - 2 * REST) + 1, np.inf)
+        free = np.full(len(self.variables), np.inf)
         return -free, free
 
     def moved(self, change: RealArray) -> JointSpline:
@@ -149,7 +159,7 @@ class JointSpline:
 
     def derivatives(self, fractions: RealArray) -> RealArray:
         """Return derivatives (N, 6, m) of [q_a, v_a, a_a] at fractions of the duration by the variables."""
-        by = np.zeros((len(fractions), 3, 2, len(self.room[0])))
+        by = np.zeros((len(fractions), 3, 2, len(self.variables)))
         for k, values in enumerate(self.evaluate(fractions)):
             moved = basis(self.degree, self.intervals, fractions, k, self.crowding)[:, REST:-REST] / self.duration**k
             by[:, k, 0, : moved.shape[1]] = by[:, k, 1, moved.shape[1] : -1] = moved
@@ -171,12 +181,12 @@ class JointSpline:
 
     def conditions(self) -> tuple[RealArray, RealArray]:
         """Return no conditions: a motion exists with any coefficients."""
-        return np.zeros(0), np.zeros((0, len(self.room[0])))
+        return np.zeros(0), np.zeros((0, len(self.variables)))
 
     def scale(self, unit: float) -> RealArray:
         """Return the size (m,) of changes that count alike: the swing of the joints, and a usual duration [s]."""
         swing = float(np.ptp(self.coefficients, axis=0).max())
-        return np.append(np.full(len(self.room[0]) - 1, swing), unit)
+        return np.append(np.full(len(self.variables) - 1, swing), unit)
 
     def metric(self, unit: float) -> RealArray:
         """Return the squared size (m, m) of changes of the acceleration, relative to the largest one, and of the duration."""
@@ -203,12 +213,6 @@ def spline_knots(degree: int, intervals: int, crowding: float = 0.0) -> RealArra
     uniform = np.linspace(0.0, 1.0, intervals + 1)
     inner = uniform - crowding * np.sin(2.0 * np.pi * uniform) / (2.0 * np.pi)
     return np.concatenate([np.zeros(degree), inner, np.ones(degree)])
-
-
-def knot_means(degree: int, intervals: int) -> RealArray:
-    """Means of each basis function's inner uniform knots, shape (n,): a spline is near its coefficients there (Schoenberg's operator)."""
-    knots = spline_knots(degree, intervals)
-    return np.array([knots[i + 1 : i + 1 + degree].mean() for i in range(intervals + degree)])
 
 
 @lru_cache(maxsize=64)

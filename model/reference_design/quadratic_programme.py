@@ -37,41 +37,31 @@ def solve_quadratic(
     Returns:
         x (n,) and the multipliers of A x <= b (N,), zero or positive.
     """
-    n, rows = len(cost), len(right)
-    low, high = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
-
-    def product(x: RealArray) -> RealArray:
-        return np.concatenate([matrix @ x, -x[low], x[high]])
-
-    def transposed(y: RealArray) -> RealArray:
-        found = y[:rows] @ matrix
-        found[low] -= y[rows : rows + len(low)]
-        found[high] += y[rows + len(low) :]
-        return found
-
+    n, rows, unit = len(cost), len(right), np.eye(len(cost))
+    low, high = np.isfinite(lower), np.isfinite(upper)
+    # bounds are limits too
+    matrix = np.concatenate([matrix, -unit[low], unit[high]])
     limits = np.concatenate([right, -lower[low], upper[high]])
     x = np.clip(np.zeros(n), lower, upper)
-    slack = np.maximum(limits - product(x), 1.0)
+    slack = np.maximum(limits - matrix @ x, 1.0)
     dual = np.ones_like(slack)
     for _ in range(ITERATIONS):
-        r_dual = hessian @ x + cost + transposed(dual)
-        r_limit = product(x) + slack - limits
+        r_dual = hessian @ x + cost + dual @ matrix
+        r_limit = matrix @ x + slack - limits
         gap = float(slack @ dual) / len(slack)
         if gap < TOLERANCE and np.abs(r_limit).max() < TOLERANCE and np.abs(r_dual).max() < DUAL:
             break
         weight = dual / slack
-        scaled = np.sqrt(weight[:rows, np.newaxis]) * matrix
+        scaled = np.sqrt(weight[:, np.newaxis]) * matrix
         normal = hessian + scaled.T @ scaled
-        normal[low, low] += weight[rows : rows + len(low)]
-        normal[high, high] += weight[rows + len(low) :]
         normal[np.diag_indices(n)] += 1e-12 * (1 + np.diag(normal))
         factor = cho_factor(normal, check_finite=False)
-        right = -r_dual - transposed(weight * r_limit)
+        right = -r_dual - (weight * r_limit) @ matrix
         # predictor, and corrector towards the centre
         complement = slack * dual
         for corrector in (False, True):
-            dx = cho_solve(factor, right + transposed(complement / slack), check_finite=False)
-            d_slack = -r_limit - product(dx)
+            dx = cho_solve(factor, right + (complement / slack) @ matrix, check_finite=False)
+            d_slack = -r_limit - matrix @ dx
             d_dual = -(complement + dual * d_slack) / slack
             if not corrector:
                 step = _longest(slack, d_slack), _longest(dual, d_dual)

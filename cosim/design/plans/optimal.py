@@ -9,12 +9,11 @@ over the bands, near the path.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,6 @@ from flexfmu.cosim.design.plans.goals import ONCE, RATES, Goals, Variation
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.planning import plan_rigid
-from flexfmu.cosim.many.journal import WorkJournal
 from flexfmu.model.reference_design import optimal_control
 from flexfmu.model.reference_design.elastic_response import LINK_LOADS, SHARED, FleetResponse, RobotVariant, joined
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
@@ -59,7 +57,7 @@ RESERVE = 0.9995, 0.8, 0.96
 """Shares of the limits of torque, clearance and residual that motions use; the FMU judges the rest."""
 
 NEARLY = 0.03
-"""Violation of the limits up to which a motion is given to the FMU to judge; beyond it the next start is tried."""
+"""Violation of the limits up to which a motion is worth correcting; beyond it the next start is tried."""
 
 TRIES, SURE, SLOWER = 5, 1.02, 1.05
 """Motions that are judged from one start, at most, the factor on what one exceeds limits by, and that on its time for the next
@@ -90,8 +88,8 @@ Motion = TypeVar("Motion", bound=DesignedMotion)
 Robots = tuple[Sequence[RobotVariant], NDArray[np.intp]]
 """Robots of a way, those of one scene behind each other, and the index of the robot of each case."""
 
-Optimum = tuple[list[tuple[list[tuple[float, float]], float, int, float]], float] | None
-"""What a journal has of motions: the attributes of each spline, with their worst violation; None where there is no motion."""
+Optimum = tuple[list[list[float]], float] | None
+"""What a journal has of motions: the variables of each, with their worst violation; None where there is no motion."""
 
 
 def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate | str]:
@@ -107,96 +105,158 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
         raise InputError("optimal control plans a motion from one place to another, and this one ends where it starts")
     motions, nodes, few = _ways(goals)
     tight_ways, loads = limited(goals, found[0], motions)
-    attempt = partial(_attempt, goals, goals.wishes.minimise, nodes, show, judge.journal)
 
     def made(splines: Sequence[JointSpline]) -> Candidate:
         time = sum(each.duration for each in splines) + goals.rest
         aim = "robust" if goals.wishes.minimise == "time" else goals.wishes.minimise
         return _candidate(goals, f"optimal control, {aim}, {time:.4g} s", splines)
 
-    def starts() -> Iterator[tuple[str | float, list[optimal_control.Way], float, NDArray[np.intp] | None]]:
+    improver = Improver(judge, made, nodes, goals.wishes.minimise, show)
+
+    given_motions = [way.start for way in tight_ways]
+
+    def starts() -> Iterator[tuple[str | float, Sequence[DesignedMotion], float, NDArray[np.intp] | None]]:
         # with the first bound of the residual vibration and the first cases
         if goals.before:
             # near the best motions, if places and payloads have moved little
-            pairs = zip(tight_ways, goals.before, strict=True)
-            yield "before", [replace(way, start=_moved(each, way.start)) for way, each in pairs], 0.0, None
+            yield "before", list(map(_moved, goals.before, given_motions)), 0.0, None
         for share in _shares(goals, found[0]):
-            yield share, _from_share(tight_ways, share), optimal_control.LOOSE, few
+            yield share, _timed(given_motions, share), optimal_control.LOOSE, few
         # the best motion of other methods, if there is one
         others = [each for each in found if each.feasible and each.candidate.method != "given"]
         if others and not goals.ways:
             best = min(others, key=lambda each: each.worst(goals.wishes.minimise))
-            yield "other", [replace(tight_ways[0], start=_spline(best.candidate.joints))], 0.0, None
+            yield "other", [_spline(best.candidate.joints)], 0.0, None
 
-    for key, ways, loose, some in starts():
+    for key, first, loose, some in starts():
+        ways, _ = _from_motions(tight_ways, {}, first)
         gives_back = key != "before"
-        if (
-            yield from refined(judge, attempt, made, ways, loads, loose, ("optimal", key), some, gives_back=gives_back)
-        ):
+        if (yield from improver.refined(("optimal", key), ways, loads, loose, some, gives_back=gives_back)):
             break
     if goals.wishes.front:
-        yield from _front(goals, found[0], motions, attempt, judge)
+        yield from _front(goals, found[0], motions, improver)
 
 
-def refined(
-    judge: Judge,
-    attempt: Callable[..., tuple[Sequence[Motion], bool] | None],
-    made: Callable[[Sequence[Motion]], Candidate],
-    ways: Sequence[optimal_control.Way],
-    loads: Mapping[str, RealArray],
-    loose: float,
-    key: tuple[Any, ...],
-    few: NDArray[np.intp] | None = None,
-    *,
-    gives_back: bool = True,
-) -> Generator[Candidate | str, None, bool]:
-    """Motions from one start on, each with limits corrected by what the FMU finds; whether there are any.
+@dataclass(frozen=True, eq=False)
+class Improver(Generic[Motion]):
+    """Finds the best motions of a kind, and corrects their limits by what the FMU finds.
 
-    Args:
-        judge: finds it.
-        attempt: a key of the journal, ways, loads and the first bound of the residual vibration → the best motions, and whether they are
-            near enough to the limits to go on from them; None for none.
-        made: the candidate of these motions.
-        ways: the ways from their first motions on.
-        loads: limits of loads of the cycle.
-        loose: first bound of the residual vibration [m].
-        key: begins the keys of the journal.
-        few: cases of the first motions; None for all.
-        gives_back: whether what a motion leaves of the limits is given back.
+    Attributes:
+        judge: finds it; knows the goals and the journal.
+        made: the candidate of motions, one for each way.
+        nodes: indices of the cases that the programmes have, if there are so many.
+        aim: what is minimised.
+        show: is called with what is being done.
+        near: violation of the limits up to which a motion is worth correcting.
+        tries: motions that are judged from one start, at most.
     """
-    is_first, is_free = gives_back, judge.goals.wishes.duration is None
-    for number in range(TRIES):
-        some = np.arange(len(ways[0].cases)) if few is None or number else few
-        some_loads = {name: each[some] for name, each in loads.items()}
-        tried = attempt((*key, number), [way.of_cases(some) for way in ways], some_loads, loose)
-        if tried is None:
-            yield f"{' from '.join(map(str, key))}, try {number + 1}: no motion can be planned"
-            return number > (few is not None)
-        motions, is_near = tried
-        candidate = made(motions)
-        if some is few:
-            candidate = replace(candidate, label=f"{candidate.label}, few payloads", is_rough=True)
-        yield candidate
-        if not is_near:
-            return number > (few is not None)
-        judged = judge.assess(candidate)
-        excess, slower = excesses(judged), 1.0
-        if some is few:
-            # the next programmes have the robots for which this motion was not made; the bound of the vibration falls step by step
-            excess, loose = {}, judged.residual if judged.residual > ROUGH * judge.goals.wishes.residual else 0.0
-        else:
-            if judged.feasible:
-                # what it leaves of the limits is given back once
-                left = reserves(judged) if is_first and is_free else {}
-                excess, is_first = left if min(left.values(), default=1.0) < FULL_RESIDUAL else {}, False
-            if not excess:
-                break
-            # what the FMU finds beyond the limits is taken off them, from this motion on
-            if is_free and max((each for name, each in excess.items() if name != "residual"), default=1.0) > SLOWER:
-                slower = SLOWER
-            loose = 0.0
-        ways, loads = _from_motions(ways, loads, excess, motions, slower)
-    return True
+
+    judge: Judge
+    made: Callable[[Sequence[Motion]], Candidate]
+    nodes: Sequence[int]
+    aim: optimal_control.Aim
+    show: ShowProgress
+    near: float = NEARLY
+    tries: int = TRIES
+
+    def best(
+        self, key: tuple[Any, ...], ways: Sequence[optimal_control.Way], loads: Mapping[str, RealArray], loose: float
+    ) -> tuple[list[Motion], bool] | None:
+        """The best motions, from the journal or by optimal control, and whether their violations are small; None for none.
+
+        Args:
+            key: of the journal.
+            ways: the ways from their first motions on.
+            loads: limits of loads of the cycle.
+            loose: first bound of the residual vibration [m].
+
+        Raises:
+            KeyboardInterrupt: after Ctrl-C, or of ``show``, with the candidate that there is so far, if there is one.
+        """
+
+        def found() -> Optimum:
+            last: optimal_control.Improvement | None = None
+            # few cases have no others between them
+            some = self.nodes if max(self.nodes) < len(ways[0].cases) else range(len(ways[0].cases))
+            try:
+                for last in optimal_control.optimal_motion(ways, loads, some, loose=loose, aim=self.aim):
+                    time = self.judge.goals.rest + sum(each.duration for each in last.motions)
+                    self.show(f"{key[0]} over the bands: {time:.4g} s", None)
+            except EquilibriumError:
+                # too fast for the links: a slower start may do
+                return None
+            except KeyboardInterrupt:
+                # the best motion so far is judged all the same
+                motions: Any = () if last is None else last.motions
+                candidates = [replace(self.made(motions), label=INTERRUPTED)] if motions else []
+                raise KeyboardInterrupt(*candidates) from None
+            return (
+                None
+                if last is None
+                else ([each.variables.tolist() for each in last.motions], max(last.violations.values()))
+            )
+
+        kept = self.judge.journal.kept(key, Optimum, found)
+        if kept is None:
+            return None
+        starts: list[Any] = [way.start for way in ways]
+        variables = [np.array(each) for each in kept[0]]
+        motions = [start.moved(each - start.variables) for start, each in zip(starts, variables, strict=True)]
+        return motions, kept[1] < self.near
+
+    def refined(
+        self,
+        key: tuple[Any, ...],
+        ways: Sequence[optimal_control.Way],
+        loads: Mapping[str, RealArray],
+        loose: float,
+        few: NDArray[np.intp] | None = None,
+        *,
+        gives_back: bool = True,
+    ) -> Generator[Candidate | str, None, tuple[list[Motion], Assessment] | None]:
+        """Motions from one start on, each with limits corrected by what the FMU finds; returns the last ones as they were judged, if there are any.
+
+        Args:
+            key, ways, loads, loose: as for `best`; the key begins those of the journal.
+            few: cases of the first motions; None for all.
+            gives_back: whether what a motion leaves of the limits is given back.
+        """
+        wishes, last = self.judge.goals.wishes, None
+        is_first, is_free = gives_back, wishes.duration is None
+        for number in range(self.tries):
+            some = np.arange(len(ways[0].cases)) if few is None or number else few
+            some_loads = {name: each[some] for name, each in loads.items()}
+            tried = self.best((*key, number), [way.of_cases(some) for way in ways], some_loads, loose)
+            if tried is None:
+                yield f"{' from '.join(map(str, key))}, try {number + 1}: no motion can be planned"
+                return last
+            motions, is_near = tried
+            candidate = self.made(motions)
+            if some is few:
+                candidate = replace(candidate, label=f"{candidate.label}, few payloads", is_rough=True)
+            yield candidate
+            if not is_near:
+                return last
+            judged = self.judge.assess(candidate)
+            excess, slower = excesses(judged), 1.0
+            if some is few:
+                # the next programmes have the robots for which this motion was not made; the bound of the vibration falls step by step
+                excess, rough = {}, judged.residual > ROUGH * wishes.residual
+                loose = judged.residual if rough else 0.0
+            else:
+                last = motions, judged
+                if judged.feasible:
+                    # what it leaves of the limits is given back once
+                    left = reserves(judged) if is_first and is_free else {}
+                    excess, is_first = left if min(left.values(), default=1.0) < FULL_RESIDUAL else {}, False
+                if not excess:
+                    break
+                # what the FMU finds beyond the limits is taken off them, from this motion on
+                if is_free and max((each for name, each in excess.items() if name != "residual"), default=1.0) > SLOWER:
+                    slower = SLOWER
+                loose = 0.0
+            ways, loads = _from_motions(ways, loads, _timed(motions, slower), excess)
+        return last
 
 
 FRONT_TO: Mapping[str, tuple[float, float]] = {
@@ -206,72 +266,54 @@ FRONT_TO: Mapping[str, tuple[float, float]] = {
 rises; the residual vibration falls faster, and only slows a motion down, by and by."""
 
 NEAR_FRONT = 0.1
-"""Violation of the limits up to which a motion of a front is given to the FMU to judge."""
+"""The same for motions of a front."""
 
 LEVELS, LIFTED = (10, 4), 1e3
 """Numbers of levels of fronts of two figures and of three, and the factor of a limit that isn't one."""
 
 
 def _front(
-    goals: Goals,
-    given: Assessment,
-    motions: Sequence[Robots],
-    attempt: Callable[..., tuple[list[JointSpline], bool] | None],
-    judge: Judge,
-) -> Iterator[Candidate]:
+    goals: Goals, given: Assessment, robots: Sequence[Robots], improver: Improver[JointSpline]
+) -> Iterator[Candidate | str]:
     """What is minimised for many levels of the front's other figures, each from the motion of the level before."""
     axes: list[str] = [each for each in goals.wishes.front if each != goals.wishes.minimise]
     own = {name: Limit(name, 1.0, "1", is_relative=True) for name in axes if name != "residual"}
-    unit_ways, unit_loads = limited(replace(goals, limits={**goals.limits, **own}), given, motions)
+    unit_ways, unit_loads = limited(replace(goals, limits={**goals.limits, **own}), given, robots)
     # from what the motion needs without these limits on, or from where the wishes end
-    natural = {name: min(_allowed(goals, given, name), LIFTED) for name in axes}
+    natural = dict.fromkeys(axes, 1.0)
+    for name in own:
+        usual = given.values[name][given.values[name] > 0.0]
+        natural[name] = float((goals.limit(name, usual) / usual).min(initial=LIFTED))
     levels = [np.geomspace(1.0, FRONT_TO[name][0], LEVELS[len(axes) - 1]).tolist() for name in axes]
     # forth and back, so that neighbours follow each other
     grid = [(first, *more) for k, first in enumerate(levels[0]) for more in list(product(*levels[1:]))[:: (-1) ** k]]
-    splines, before = list[JointSpline](), dict[str, float]()
+    last, before = None, dict[str, float]()
     for number, shares in enumerate(grid):
         factors = {name: natural[name] * share for name, share in zip(axes, shares, strict=True)}
         excess = {name: 1.0 / factor for name, factor in factors.items()}
-        for again in range(2):
-            if splines:
-                rises = [(before[name] / each) ** FRONT_TO[name][1] for name, each in factors.items()]
-                slower = 1.0 if again or goals.wishes.duration is not None else max(*rises, 0.9)
-                ways, loads = _from_motions(unit_ways, unit_loads, excess, splines, slower)
-                tried = attempt(("front", number, again), ways, loads, 0.0, NEAR_FRONT)
-            else:
-                wide, loads = _from_motions(unit_ways, unit_loads, excess, [way.start for way in unit_ways], 1.0)
-                tries = (
-                    attempt(("front", number, share), _from_share(wide, share), loads, optimal_control.LOOSE)
-                    for share in _shares(goals, given)
-                )
-                tried = next((each for each in tries if each is not None and each[1]), None)
-            if tried is None or not tried[1]:
+        text = ", ".join(f"{name} {100.0 * share:.3g} %" for name, share in zip(axes, shares, strict=True))
+        level = replace(improver, made=partial(_candidate, goals, f"front: {text}"), near=NEAR_FRONT, tries=2)
+        if last is None:
+            starts, loose = (
+                {share: _timed([way.start for way in unit_ways], share) for share in _shares(goals, given)},
+                optimal_control.LOOSE,
+            )
+        else:
+            rises = [(before[name] / each) ** FRONT_TO[name][1] for name, each in factors.items()]
+            slower = 1.0 if goals.wishes.duration is not None else max(*rises, 0.9)
+            starts, loose = {slower: _timed(last[0], slower)}, 0.0
+        for share, motions in starts.items():
+            ways, loads = _from_motions(unit_ways, unit_loads, motions, excess)
+            if found := (yield from level.refined(("front", number, share), ways, loads, loose, gives_back=False)):
+                last, before = found, factors
                 break
-            splines, before = tried[0], factors
-            levels_text = ", ".join(f"{name} {100.0 * share:.3g} %" for name, share in zip(axes, shares, strict=True))
-            candidate = _candidate(goals, f"front: {levels_text}", splines)
-            yield candidate
-            judged = judge.assess(candidate)
-            beyond = excesses(judged)
-            if not beyond:
-                break
-            excess |= {name: excess.get(name, 1.0) * each for name, each in beyond.items()}
-        if not splines:
+        if last is None:
             return
         if number == 0:
             # what the motion needs without these limits
-            needed = {name: float((judged.values[name] / judge.given.values[name]).max()) for name in own}
+            needed = {name: float((last[1].values[name] / given.values[name]).max()) for name in own}
             natural |= {name: min(natural[name], each) for name, each in needed.items()}
             before = {**before, **needed}
-
-
-def _allowed(goals: Goals, given: Assessment, name: str) -> float:
-    """The limit of a figure relative to the given motion's, of the residual vibration to the wish; infinite for none."""
-    limit = goals.limits.get(name)
-    if name == "residual" or limit is None or limit.is_relative:
-        return 1.0 if name == "residual" else math.inf if limit is None else limit.limit
-    usual = given.values[name]
-    return float((limit.limit / usual[usual > 0.0]).min())
 
 
 def _shares(goals: Goals, given: Assessment) -> tuple[float, ...]:
@@ -299,64 +341,21 @@ def _moved(before: Trajectory, given: DesignedMotion) -> JointSpline:
     return replace(spline, coefficients=coefficients + 2.0 * np.pi * turns)
 
 
-def _from_share(ways: Sequence[optimal_control.Way], share: float) -> list[optimal_control.Way]:
-    """The ways from faster first motions on."""
-    return [replace(way, start=way.start.with_duration(share * way.start.duration)) for way in ways]
+def _timed(motions: Sequence[DesignedMotion], share: float) -> list[DesignedMotion]:
+    """The motions, each in a share of its duration."""
+    return [each.with_duration(share * each.duration) for each in motions]
 
 
 def _from_motions(
     ways: Sequence[optimal_control.Way],
     loads: Mapping[str, RealArray],
-    excess: Mapping[str, float],
     motions: Sequence[DesignedMotion],
-    slower: float,
+    excess: Mapping[str, float] | None = None,
 ) -> tuple[list[optimal_control.Way], dict[str, RealArray]]:
-    """The ways with tighter limits, from known motions on."""
-    starts = [each.with_duration(slower * each.duration) for each in motions]
-    pairs = zip(ways, starts, strict=True)
+    """The ways from other motions on, with tighter limits."""
+    excess, pairs = excess or {}, zip(ways, motions, strict=True)
     tight = [replace(way, limits=way.limits.tightened(excess), start=start) for way, start in pairs]
     return tight, {name: each / excess.get(name, 1.0) for name, each in loads.items()}
-
-
-def _attempt(
-    goals: Goals,
-    aim: optimal_control.Aim,
-    nodes: Sequence[int],
-    show: ShowProgress,
-    journal: WorkJournal,
-    key: tuple[Any, ...],
-    ways: Sequence[optimal_control.Way],
-    loads: Mapping[str, RealArray],
-    loose: float,
-    near: float = NEARLY,
-) -> tuple[list[JointSpline], bool] | None:
-    """The best motions, from the journal or by optimal control, and whether their violations are below a largest one; None for none.
-
-    Raises:
-        KeyboardInterrupt: after Ctrl-C, or of ``show``, with the candidate that there is so far, if there is one.
-    """
-
-    def best() -> Any:
-        last: optimal_control.Improvement | None = None
-        # few cases have no others between them
-        some = nodes if max(nodes) < len(ways[0].cases) else range(len(ways[0].cases))
-        try:
-            for last in optimal_control.optimal_motion(ways, loads, some, loose=loose, aim=aim):
-                time = goals.rest + sum(each.duration for each in last.motions)
-                show(f"optimal control over the bands: {time:.4g} s", None)
-        except EquilibriumError:
-            # too fast for the links: a slower start may do
-            return None
-        except KeyboardInterrupt:
-            # the best motion so far is judged all the same
-            splines = [] if last is None else [each for each in last.motions if isinstance(each, JointSpline)]
-            raise KeyboardInterrupt(*([_candidate(goals, INTERRUPTED, splines)] if splines else [])) from None
-        return last and ([(*vars(each).values(),) for each in last.motions], max(last.violations.values()))
-
-    found = journal.kept(key, Optimum, best)
-    if found is None:
-        return None
-    return [JointSpline(np.array(coefficients), *more) for coefficients, *more in found[0]], found[1] < near
 
 
 def _candidate(goals: Goals, label: str, splines: Sequence[JointSpline]) -> Candidate:
@@ -517,11 +516,16 @@ def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: Sh
     response = FleetResponse(robots, motors.coefficients[0], motors.intervals).of_motion(motors, derivatives=False)
     width = max(NEAR_PATH * goals.wishes.margin, -GROWTH * float(_within(goals, 0.0, response.position)[0].min()))
     limits = replace(way.limits, distances=partial(_within, goals, width), residual=QUIET * goals.wishes.residual)
-    ways, nodes = [replace(way, start=motors, limits=limits)], nodes_of(variations, optimal_control.NODES)
-    tried = _attempt(goals, "limits", nodes, show, judge.journal, ("flexible",), ways, loads, 0.0)
+    nodes = nodes_of(variations, optimal_control.NODES)
+
+    def made(motions: Sequence[JointSpline], note: str = "") -> Candidate:
+        label = f"flexible references on the given path{note}"
+        return Candidate(label, "flexible references", scene, motions[0].trajectory())
+
+    improver = Improver(judge, made, nodes, "limits", show)
+    tried = improver.best(("flexible",), [replace(way, start=motors, limits=limits)], loads, 0.0)
     # without a correction the FMU judges whether they do
-    (motors,), note = ([motors], ", for the nominal payload") if tried is None else (tried[0], "")
-    yield Candidate(f"flexible references on the given path{note}", "flexible references", scene, motors.trajectory())
+    yield made([motors], ", for the nominal payload") if tried is None else made(tried[0])
 
 
 def _within(goals: Goals, width: float, points: RealArray) -> tuple[RealArray, RealArray]:

@@ -85,7 +85,7 @@ LIMITED = SCENE.replace(
 def on_the_path(scene: Scene, monkeypatch: pytest.MonkeyPatch, *, corrected: bool) -> Assessment:
     """The references on the given path, as the FMU finds them for other payloads than those of their correction."""
     if not corrected:
-        monkeypatch.setattr(method, "_attempt", lambda *_: None)
+        monkeypatch.setattr(method.Improver, "best", lambda *_: None)
     judge = Judge(goals_of(scene), 9)
     (found,) = flexible(judge, [judge.given], 1, _silent)
     monkeypatch.undo()

@@ -16,17 +16,18 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.design.plans import search as module
-from flexfmu.cosim.design.plans.assessment import Assessment, Judge
-from flexfmu.cosim.design.plans.designs import FamilyMotion, first_numbers, polynomial
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import Goals, goals_of
-from flexfmu.cosim.design.plans.search import MotionStudy, search, study_of
+from flexfmu.cosim.design.plans.optimal import limited, robots_of
+from flexfmu.cosim.design.plans.search import USUAL_SHAPE, FamilyMotion, families, improved, polynomial, search
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.timing import processor_time
 from flexfmu.cosim.many.executor import mapping
-from flexfmu.model.reference_design.optimal_control import GROUPS, Stage
+from flexfmu.model.reference_design.optimal_control import GROUPS, Stage, Way
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.motion import TrajectorySection
+from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.profiles import PROFILES, evaluate_profile
 from flexfmu.trajectories.shapers.sequence import Oscillator
 
@@ -44,8 +45,20 @@ def given(goals: Goals) -> Assessment:
 
 
 @pytest.fixture(scope="module")
-def study(goals: Goals, given: Assessment) -> MotionStudy:
-    return study_of(goals, given, 3)
+def first(goals: Goals) -> list[FamilyMotion]:
+    return families(goals)
+
+
+def limited_way(goals: Goals, given: Assessment) -> tuple[Way, dict[str, RealArray]]:
+    """The limits for three payloads, with those of the cycle's loads."""
+    robots = robots_of(goals.scene, goals.variations(3))
+    (way,), loads = limited(goals, given, [(robots, np.arange(3))], walls=True)
+    return way, loads
+
+
+@pytest.fixture(scope="module")
+def way(goals: Goals, given: Assessment) -> tuple[Way, dict[str, RealArray]]:
+    return limited_way(goals, given)
 
 
 def silent(text: str, fraction: float | None) -> None:
@@ -63,7 +76,7 @@ SHAPED = {
 def test_references_are_those_of_the_scene_that_is_written(number: str) -> None:
     section, shapers = SCENE.trajectory, SHAPED[number]
     assert isinstance(section, TrajectorySection)
-    numbers = first_numbers((0.5, 0.7, 0.4), len(shapers))
+    numbers = np.array([0.03, 0.8, 0.4, *USUAL_SHAPE, *[1.05] * len(shapers)])
     chosen = FamilyMotion(SCENE.mechanism, section, (0.025, 0.035), "polar", shapers, numbers, 0.2)
     planned = loop_of(SCENE.replace(chosen.changes)).motion.joints
     assert planned.duration == pytest.approx(0.2, rel=1e-12)
@@ -81,11 +94,11 @@ def test_time_laws_move_forward_and_are_at_rest_at_both_ends() -> None:
     assert values[:, -1] == pytest.approx([1.0, 0.0, 0.0], abs=1e-8)
 
 
-def test_a_motion_moves_forward_where_its_conditions_hold(study: MotionStudy) -> None:
+def test_a_motion_moves_forward_where_its_conditions_hold(first: list[FamilyMotion]) -> None:
     random, seen = np.random.default_rng(1), set[bool]()
     for _ in range(40):
-        shape = random.uniform(0.35, 0.65, 8)
-        motion = replace(study.first[0], numbers=np.array([*study.first[0].numbers[:3], *shape]))
+        shape = random.uniform(-0.75, 0.75, 8)
+        motion = replace(first[0], numbers=np.array([*first[0].numbers[:3], *shape]))
         holds = bool((motion.conditions()[0] < 0.0).all())
         seen.add(holds)
         if holds:
@@ -94,10 +107,12 @@ def test_a_motion_moves_forward_where_its_conditions_hold(study: MotionStudy) ->
 
 
 @pytest.mark.parametrize("number", [0, 2, 7])
-def test_derivatives_of_limits_are_those_of_longer_differences(study: MotionStudy, number: int) -> None:
+def test_derivatives_of_limits_are_those_of_longer_differences(
+    way: tuple[Way, dict[str, RealArray]], first: list[FamilyMotion], number: int
+) -> None:
     """By numbers and by the duration: references, torques, clearance, and what vibrates at the end."""
-    motion = study.first[number].with_duration(0.25)
-    stage = Stage([replace(study.way, start=motion)], study.loads, 2, [0.3])
+    motion = first[number].with_duration(0.25)
+    stage = Stage([replace(way[0], start=motion)], way[1], 2, [0.3])
     linear = stage.linear(stage.state((motion,)))
     direction = 1e-3 * np.random.default_rng(0).standard_normal(len(motion.numbers) + 1) * motion.scale(0.3)
 
@@ -114,16 +129,16 @@ def test_derivatives_of_limits_are_those_of_longer_differences(study: MotionStud
 
 
 @pytest.mark.slow
-def test_no_grid_finds_a_better_motion(study: MotionStudy) -> None:
-    found = module._improved(study, (study.first[2], 3, 2, 20, False))
+def test_no_grid_finds_a_better_motion(way: tuple[Way, dict[str, RealArray]], first: list[FamilyMotion]) -> None:
+    found = improved(*way, "time", (first[2], np.arange(3), 2, 20))
     assert found is not None
-    motion = replace(study.first[2], numbers=np.array(found[0]), duration=found[1])
-    stage = Stage([replace(study.way, start=motion)], study.loads, 2, [0.3])
+    motion = first[2].moved(np.array(found[0]) - first[2].variables)
+    stage = Stage([replace(way[0], start=motion)], way[1], 2, [0.3])
     assert stage.state((motion,), derivatives=False).violations.max() < 2e-3
     # width and height of the corners and the duration, with all other numbers those of the motion found
     for time in np.linspace(0.8, 0.99, 6):
         for width in np.linspace(0.05, 0.95, 5):
-            for tall in np.linspace(0.5, 1.0, 3):
+            for tall in np.linspace(0.65, 1.0, 3):
                 numbers = np.array([motion.numbers[0], tall, width, *motion.numbers[3:]])
                 other = replace(motion, numbers=numbers, duration=time * motion.duration)
                 assert stage.state((other,), derivatives=False).violations.max() > 2e-3
@@ -136,7 +151,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "KEPT", 1)
     monkeypatch.setattr(module, "LAST", 1)
     monkeypatch.setattr(module, "ROUNDS", ((2, 1, 3), (3, 1, 4)))
-    monkeypatch.setattr(module, "FINAL", (3, 2, 8))
+    monkeypatch.setattr(module, "PAYLOADS", (3,))
 
 
 @pytest.mark.slow
@@ -165,14 +180,14 @@ def test_a_search_that_is_left_ends(goals: Goals, given: Assessment, monkeypatch
 def test_least_residual_at_a_given_time() -> None:
     wishes = {"plan.minimise": "residual", "plan.duration": 0.25, "plan.payload_band": 0.1}
     goals = goals_of(SCENE.replace(wishes))
-    study = study_of(goals, Judge(goals, 3).given, 3)
-    judge, residuals = Judge(goals, 3), list[float]()
+    judge, first, residuals = Judge(goals, 3), families(goals)[2], list[float]()
+    way, loads = limited_way(goals, judge.given)
     for programmes in (0, 8):
-        found = module._improved(study, (study.first[2], 3, 2, programmes, False))
+        found = improved(way, loads, "residual", (first, np.arange(3), 2, programmes))
         assert found is not None
-        assert found[1] == pytest.approx(0.25)
-        motion = replace(study.first[2], numbers=np.array(found[0]), duration=found[1])
-        residuals.append(judge.assess(module.candidate_of(goals, motion)).residual)
+        motion = first.moved(np.array(found[0]) - first.variables)
+        assert motion.duration == pytest.approx(0.25)
+        residuals.append(judge.assess(Candidate("", "search", goals.scene.replace(motion.changes))).residual)
     assert residuals[1] < 0.5 * residuals[0]
 
 
@@ -181,11 +196,10 @@ def test_paths_go_around_walls(goals: Goals, given: Assessment) -> None:
     x, y = SCENE.start
     wall = {"kind": "box", "corners": [[x + 0.1, y - 0.045], [x + 0.1005, y + 0.01]]}
     walled = goals_of(SCENE.replace({"plan.keep_out": [wall]}))
-    found = study_of(walled, given, 3)
-    first = found.first[0]
+    first = families(walled)[0]
     assert walled.clearance.passage(first.points) == 0.0
-    low = replace(first, numbers=np.array([0.0, *first.numbers[1:]]))
-    distance = found.way.limits.distances(low.points[np.newaxis])[0]
+    low = replace(first, numbers=np.array([first.heights[0], *first.numbers[1:]]))
+    distance = limited_way(walled, given)[0].limits.distances(low.points[np.newaxis])[0]
     assert distance.min() < -5e-3
 
 
