@@ -50,6 +50,7 @@ from flexfmu.cosim.metrics.metric_table import ALL_METRICS
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.segments import control_matrices, quadrature_of
 from flexfmu.cosim.metrics.signals import FIRST_BENDING
+from flexfmu.cosim.reports.comparison import ComparedRun
 from flexfmu.cosim.reports.page import Figure, Live, Page, with_few_points
 from flexfmu.cosim.reports.plots import draw_plots
 from flexfmu.cosim.reports.report import report_page
@@ -184,7 +185,10 @@ def _alternatives(run: Run) -> Iterator[tuple[str, LiveRun]]:
 
 
 def simulating(
-    runs: Sequence[tuple[str, LiveRun]], places: Sequence[int] = (), swept: Mapping[str, Sequence[Any]] | None = None
+    runs: Sequence[tuple[str, LiveRun]],
+    places: Sequence[int] = (),
+    swept: Mapping[str, Sequence[Any]] | None = None,
+    fixed: Mapping[str, str] | None = None,
 ) -> Live:
     """What a page simulates.
 
@@ -192,6 +196,7 @@ def simulating(
         runs: option of the page's user and run: those of the same place are alternatives to each other.
         places: of the runs among those that the page shows; empty for one run and its alternatives.
         swept: key → the same as the sweep has it, smallest and largest value of its slider; None for the usual sliders.
+        fixed: swept key that has no slider → its value here.
     """
     known, content = dict[bytes, int](), bytearray()
 
@@ -213,24 +218,33 @@ def simulating(
     reasons = [f"{option or 'the run'}: {run.reason}" for option, run in runs if run.reason]
     if not there:
         return Live(reasons=reasons)
-    head = json.dumps({"runs": there, "swept": swept or {}}).encode()
+    head = json.dumps({"runs": there, "swept": swept or {}, "fixed": fixed or {}}).encode()
     return Live(base64.b64encode(gzip.compress(head + b"\n" + bytes(content), 9, mtime=0)).decode(), reasons)
 
 
-def side_by_side(page: Page, runs: Sequence[tuple[str, Run | None]]) -> Page:
-    """The page of several runs, which it simulates, by their names; None for results without a run."""
-    unknown = LiveRun(reason="only its results are known")
-    found = [(name, unknown if run is None else live_run(run, is_exact=False)) for name, run in runs]
+def side_by_side(page: Page, runs: Sequence[ComparedRun]) -> Page:
+    """The page of several runs, which it simulates; results without a run and what failed stay as recorded."""
+    found = list[tuple[str, LiveRun]]()
+    for each in runs:
+        reason = f"it failed: {each.failure}" if each.failure else "only its results are known"
+        found.append((each.name, LiveRun(reason=reason) if each.run is None else live_run(each.run, is_exact=False)))
     return with_few_points(replace(page, live=simulating(found, range(len(found)))))
 
 
-def swept_page(page: Page, scene: Scene, swept: Mapping[str, tuple[float, float] | None], names: Sequence[str]) -> Page:
+def swept_page(
+    page: Page,
+    scene: Scene,
+    swept: Mapping[str, tuple[float, float] | None],
+    own: Mapping[str, str],
+    names: Sequence[str],
+) -> Page:
     """The page of a sweep with its scene, which runs at a point that is picked, or where the sliders of the swept keys are.
 
     Args:
         page: of the sweep.
         scene: what was swept.
         swept: key of the scene, as it was written → smallest and largest value; None for a key with other values than numbers.
+        own: key → the scene's value, as the page has those of points.
         names: metrics of the page's tiles, which have extremes and get the value here.
     """
     run = run_scene(scene)
@@ -246,7 +260,7 @@ def swept_page(page: Page, scene: Scene, swept: Mapping[str, tuple[float, float]
         # a slider of a robot that is designed anew would be another case
         sliders = [each for each in found.facts["sliders"] if each["key"] not in {full[key] for key in fixed}]
         found = LiveRun({**found.facts, "sliders": sliders})
-    live = simulating([("", found)], swept=known)
+    live = simulating([("", found)], swept=known, fixed={key: own[key] for key in fixed})
     if found.facts and fixed:
         live = replace(live, reasons=[f"other values of {', '.join(fixed)}, which stay as in the scene"])
     if not found.facts:

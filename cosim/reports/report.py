@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
+from math import isclose
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,9 @@ FIRST_PLOTS = ("scene",)
 OPEN = ("Metrics", "Motors", "Stress of the links", "Learning")
 """Tables that aren't folded away."""
 
+
+SAME = 1e-6
+"""Relative difference below which two torques are the same."""
 
 OFFSET = 0.6
 """The residual vibration is called an offset if its root mean square is more than this share of it, and no peak of its spectrum reaches
@@ -116,8 +120,10 @@ def _tile(name: str, summary: Mapping[str, Any]) -> tuple[str, Sequence[str]]:
     """One of the six figures, with its limit where the scene has one: the settling band, and the peak torque of a motor."""
     limits = {"residual_vibration_amplitude": summary["scene"]["cosimulation"]["settling_band"]}
     for motor in summary.get("motors", ()):
-        known = {each["name"]: each["limit"] for each in motor["margins"]}
-        limits[f"peak_torque_{motor['joint']}"] = known.get("peak torque")
+        # behind a gear or with a rotor the shaft has another torque than the joint
+        joint = f"peak_torque_{motor['joint']}"
+        (peak,) = (each for each in motor["margins"] if each["name"] == "peak torque")
+        limits[joint] = peak["limit"] if isclose(peak["value"], summary["metrics"][joint], rel_tol=SAME) else None
     limit = limits.get(name)
     value = Figure.of(name, summary["metrics"][name], digits=4, error=summary["errors"][name], limit=limit)
     return definition(name).label + ("" if limit is None else f", limit {display(name, limit, 4)}"), [value]
@@ -163,9 +169,10 @@ def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> Iterator[str]
         yield "; it"
     else:
         yield "The robot"
-    yield figure("peak_position_error", " leaves its path by up to {}", none=" has no position error")
-    if metrics["peak_tip_deflection_1"]:
-        yield figure("peak_tip_deflection_1", ", while link 1 bends by {}")
+    yield figure("peak_position_error", " is up to {} off its planned motion", none=" has no position error")
+    bent = max((1, 2), key=lambda link: metrics[f"peak_tip_deflection_{link}"] or 0.0)
+    if metrics[f"peak_tip_deflection_{bent}"]:
+        yield figure(f"peak_tip_deflection_{bent}", f", while link {bent} bends by {{}}")
     uses = [
         (each["use"], each["name"], motor["joint"]) for motor in summary.get("motors", ()) for each in motor["margins"]
     ]

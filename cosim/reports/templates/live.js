@@ -3,7 +3,7 @@
   const { html, short, charts } = page, panel = document.getElementById("live"), status = panel.querySelector(".status"), get = (name) => panel.querySelector(name);
   panel.hidden = false;
   await new Promise((done) => (charts.length ? done() : addEventListener("charts", done, { once: true })));
-  const { simulations, swept } = await Simulation.load(document.getElementById("module").textContent);
+  const { simulations, swept, fixed } = await Simulation.load(document.getElementById("module").textContent);
   // runs side by side, or alternatives of one run, of which one is shown
   const isCompared = simulations.some((each) => each.facts.place !== simulations[0].facts.place), usuals = new Map(), state = new Map();
   const usual = (simulation) => { if (!usuals.has(simulation)) usuals.set(simulation, simulation.run()); return usuals.get(simulation); };
@@ -38,7 +38,9 @@
       return Object.keys(before).reduce((sum, name) => sum + (before[name] && metrics[name] !== null ? Math.min(Math.abs(metrics[name] / before[name] - 1), 1) : 0), slider.range ? 100 : 0);
     } catch { return 0; }
   }));
-  for (const each of sliders) each.influence = influence(each);
+  // as far as a second goes
+  const begin = performance.now();
+  for (const each of sliders) each.influence = performance.now() < begin + 1000 ? influence(each) : 0;
   sliders.sort((a, b) => b.influence - a.influence);
   const { facts } = simulations[0];
   const written = (slider) => {
@@ -260,8 +262,12 @@
   });
   if (isCompared) get(".copy-scene").remove();
   get(".reset-all").addEventListener("click", () => { recorded(); changed(); });
-  // a point of a sweep that was picked
-  page.pick = (values) => {
+  // a point of a sweep that was picked: values, and what is said of the others
+  page.pick = (points) => {
+    // of points that coincide one that has the page's values of what has no slider
+    const other = ([values, text = ""]) => Object.entries(fixed).find(([key, own]) => (key in values ? short(values[key], 4) !== own : text.includes(`${key}=`) && !`${text},`.includes(`${key}=${own},`)));
+    const point = points.find((each) => !other(each)), [values] = point ?? points[0];
+    if (!point) return (status.textContent = `This point isn't simulated: ${other(points[0])[0]} has no slider, and is ${other(points[0])[1]} in the page.`);
     const there = Object.entries(values).flatMap(([key, value]) => { const slider = sliderOf(key); return slider ? [[slider, value]] : []; });
     for (const [slider, value] of there) set(slider, +value.toPrecision(7));
     if (there.length) changed(); else status.textContent = "This point isn't simulated: none of its values has a slider.";

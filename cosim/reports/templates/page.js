@@ -56,6 +56,7 @@ const page = (() => {
       if (this.motion) this.motion.extent(axis).forEach(take);
       if (axis === "x" && this.xLimits) return this.xLimits;
       if (axis === "y" && this.level !== null && !between) take(this.level);
+      if (axis === "y" && this.least !== null) low = Math.max(low, this.least);
       const found = range(low, high, this.motion && axis === "y" ? 0.1 : axis === "y" || !this.is_function ? 0.05 : 0.01, isLog);
       if (axis === "y" && this.from_zero) found[0] = 0;
       if (axis === "y" && this.least !== null) found[0] = Math.max(found[0], this.least);
@@ -69,15 +70,25 @@ const page = (() => {
       const label = this.label.replace("\n", " "), x = axisOf(this.isLast ? chart.x : "", this.isLast ? 34 : 12), y = axisOf(label, 58);
       if (!this.isLast) x.values = (_, splits) => splits.map(() => "");
       // on logarithmic axes 1, 2 and 5 of few decades, of many those that there is room for
+      const power = (v) => Math.floor(Math.log10(v) + 1e-9);
       const ticks = (axis, room) => (_, splits) => {
-        const [low, high] = this.shown[axis].map(Math.log10), every = Math.ceil((high - low) / room), power = (v) => Math.log10(v) + 1e-9;
-        const isShown = (v) => !this.log[axis] || (power(v) % 1 < 1e-6 ? Math.round(power(v)) % every === 0 : every === 1 && high - low < 3 && [2, 5].includes(+(v / 10 ** Math.floor(power(v))).toFixed(6)));
-        return splits.map((v) => (v === null || !isShown(v) ? "" : short(v, 5)));
+        const [low, high] = this.shown[axis], decades = Math.log10(high / low), every = Math.ceil(decades / room);
+        const mantissa = (v) => +(v / 10 ** power(v)).toFixed(6), isShown = (v) => !this.log[axis] || decades < 1 || (mantissa(v) === 1 ? power(v) % every === 0 : every === 1 && decades < 3 && [2, 5].includes(mantissa(v)));
+        return splits.map((v) => (v === null || !isShown(v) ? "" : short(v, this.digits(axis))));
       };
       y.values = ticks("y", (toScale ? 200 : this.height) / 20);
-      // as wide as its numbers, which have more digits after a zoom
-      if (!toScale) y.size = (_, texts) => Math.max(58, 28 + 6.8 * Math.max(...(texts ?? []).map((each) => each.length)));
+      // logarithmic axes within a decade have the ticks of linear ones
+      const splits = (_, place, low, high, step) => {
+        if (high < 10 * low) return Array.from({ length: Math.floor(high / step) - Math.ceil(low / step) + 1 }, (_, n) => +((Math.ceil(low / step) + n) * step).toPrecision(12));
+        const powers = Array.from({ length: power(high) - power(low) + 1 }, (_, n) => power(low) + n);
+        return powers.flatMap((p) => [1, 2, 3, 4, 5, 6, 7, 8, 9].map((m) => +`${m}e${p}`)).filter((v) => v >= low && v <= high);
+      };
+      if (this.log.x) Object.assign(x, { splits, filter: (_, all) => all });
+      if (this.log.y) Object.assign(y, { splits, filter: (_, all) => all });
+      // as wide as the numbers of all panels, which have more digits after a zoom
+      if (!toScale) y.size = (_, texts) => { this.room = 28 + 6.8 * Math.max(...(texts ?? []).map((each) => each.length)); return chart.room; };
       if (this.isLast) x.values = ticks("x", (width - 86) / 50);
+      x.space = () => Math.max(50, 8 * this.digits("x") + 10);
       this.whole = { x: chart.limits, y: this.limits("y") };
       // panels are equally high, and the last one has the axis below
       const height = toScale ? this.scaled(width) : this.height + (this.isLast && this.number ? 40 : 0);
@@ -98,6 +109,11 @@ const page = (() => {
       this.plot.over.addEventListener("pointermove", () => this.plot.syncRect(true));
       this.plot.over.addEventListener("pointerdown", (event) => (down = event));
       this.plot.over.addEventListener("pointerup", (event) => { if (down && this.chosen && Math.hypot(event.x - down.x, event.y - down.y) < 4) page.pick?.(this.chosen); });
+    }
+    // as many as tell the numbers of an axis apart
+    digits(axis) {
+      const [low, high] = this.shown[axis];
+      return this.log[axis] ? 5 : clamp(Math.ceil(Math.log10(Math.max(Math.abs(low), Math.abs(high)) / (high - low))) + 3, 5, 15);
     }
     get lines() { return this.curves.filter((c) => !(c.group === "pose" && this.motion)); }
     series({ off, width, opacity, dashes, colour: name }, isGhost = false) {
@@ -136,9 +152,14 @@ const page = (() => {
         ctx.fill(); ctx.globalAlpha = 1;
       };
       const text = (content, x, y, align = "left", fill = "var(--ink)") => { ctx.fillStyle = colour(fill); ctx.textAlign = align; ctx.fillText(content, x, y); };
-      this.marks.forEach(([x, label], i) => {
+      // texts of marks in the first line that is free
+      const ends = [];
+      this.marks.forEach(([x, label]) => {
+        if (x < this.shown.x[0] || x > this.shown.x[1]) return;
         line([[at(x, "x"), bbox.top], [at(x, "x"), bbox.top + bbox.height]], "var(--grey)", 1, [5, 4]);
-        text(label, at(x, "x") + 4 * ratio, bbox.top + (12 + 13 * (i % 2)) * ratio, "left", "var(--grey)");
+        const width = ctx.measureText(label).width, left = Math.min(at(x, "x") + 4 * ratio, bbox.left + bbox.width - width), free = ends.findIndex((end) => end < left), row = free < 0 ? ends.length : free;
+        ends[row] = left + width + 4 * ratio;
+        text(label, left, bbox.top + (12 + 13 * row) * ratio, "left", "var(--grey)");
       });
       if (this.level !== null) line([[bbox.left, at(this.level, "y")], [bbox.left + bbox.width, at(this.level, "y")]], "var(--grey)", 1, [5, 4]);
       for (const c of this.lines) if (c.fill && !c.off) {
@@ -173,7 +194,9 @@ const page = (() => {
         if (d < distance) { distance = d; best = [c, i]; }
       }
       this.picked = best && [best[0].x[best[1]], best[0].y[best[1]]];
-      this.chosen = best && Object.fromEntries(best[0].more.map((name, k) => [name.replace(/ \[.*\]/, ""), best[0].extra[k][best[1]]]));
+      // all that lie on it
+      const isThere = (c, i) => c.is_read && !c.off && c.x[i] === this.picked[0] && c.y[i] === this.picked[1], pointAt = (c, i) => [Object.fromEntries(c.more.map((name, k) => [name.replace(/ \[.*\]/, ""), c.extra[k][i]])), `${c.label}, ${c.notes[i] ?? ""}`];
+      this.chosen = best && this.curves.flatMap((c) => Array.from(c.x.keys()).filter((i) => isThere(c, i)).map((i) => pointAt(c, i)));
       this.chart.say(best ? this.told(...best) : "");
       if (best && best[0].more[0]?.startsWith("time")) page.at(best[0].extra[0][best[1]]);
       u.redraw(false);
@@ -191,11 +214,12 @@ const page = (() => {
       this.show(x, y);
       chart.isZoomed(true);
     }
-    show(x, y) {
+    show(x, y, isNew = false) {
       this.shown = { x: x ?? this.whole.x, y: y ?? (x ? this.limits("y", x) : this.whole.y) };
       this.plot.batch(() => {
+        // which sets the old limits of x again
+        this.plot.redraw(isNew, true);
         for (const axis of ["x", "y"]) this.plot.setScale(axis, { min: this.shown[axis][0], max: this.shown[axis][1] });
-        this.plot.redraw(false, true);
       });
       if (this.chart.place !== undefined) this.mark(this.chart.place);
     }
@@ -211,6 +235,7 @@ const page = (() => {
       body.prepend(this.legend);
       this.panels = given.panels.map((each, n) => new Panel(this, each, n));
       this.said = html("p", { className: "said" }, body);
+      if (!this.panels[0].is_function) this.said.style.minHeight = "2.7em";
       this.button = html("button", { className: "reset", hidden: true, type: "button", onclick: () => this.reset() }, this.figure, "reset zoom");
       this.keys = [];
       const labels = [...new Set(this.panels.flatMap((panel) => panel.curves.map((c) => c.label)))].filter(Boolean);
@@ -240,25 +265,38 @@ const page = (() => {
       this.limits = [Math.min(...all.map((each) => each[0])), Math.max(...all.map((each) => each[1]))];
       this.panels.forEach((panel) => panel.build(width));
       this.isZoomed(false);
+      // room for the values beside the names, so that nothing moves when they are shown
+      const known = this.keys.map(({ value }) => value.textContent), put = (texts) => this.keys.forEach(({ value }, i) => (value.textContent = texts[i]));
+      this.legend.style.minHeight = "";
+      if (this.panels[0].is_function) put(this.keys.map(({ curves }) => curves.map((c) => `−0.12345 ${c.unit}`).join(", ")));
+      this.legend.style.minHeight = `${this.legend.offsetHeight}px`;
+      put(known);
     }
+    // width of the vertical axes
+    get room() { return Math.ceil(Math.max(58, ...this.panels.map((panel) => panel.room ?? 0))); }
+    // the panels once more whose axis was drawn before that of another with longer numbers
+    aligned() { for (const { plot } of this.panels) if (plot.axes[1]._size !== this.room) plot.redraw(false, true); }
     // new values of the curves, as much of them as before in view
     redraw(isNew = false) {
-      if (isNew) for (const panel of this.panels) { panel.plot.setData(panel.data(), false); panel.lines.forEach((c, i) => { panel.plot.series[2 * i + 1].show = panel.plot.series[2 * i + 2].show = !c.off && c.width > 0; }); }
-      if (isNew && !this.panels[0].is_to_scale) {
+      if (!isNew) return this.panels.forEach((panel) => panel.plot.redraw(false));
+      for (const panel of this.panels) { panel.plot.setData(panel.data(), false); panel.lines.forEach((c, i) => { panel.plot.series[2 * i + 1].show = panel.plot.series[2 * i + 2].show = !c.off && c.width > 0; }); }
+      if (!this.panels[0].is_to_scale) {
         const all = this.panels.map((panel) => panel.limits("x"));
         this.limits = [Math.min(...all.map((each) => each[0])), Math.max(...all.map((each) => each[1]))];
-        for (const panel of this.panels) { panel.whole = { x: this.limits, y: panel.limits("y") }; if (this.button.hidden) panel.show(); }
-      } else this.panels.forEach((panel) => panel.plot.redraw(false));
+        for (const panel of this.panels) panel.whole = { x: this.limits, y: panel.limits("y") };
+      }
+      for (const panel of this.panels) panel.show(...(this.button.hidden ? [null, null] : [panel.shown.x, panel.is_function ? null : panel.shown.y]), true);
+      this.aligned();
     }
     isZoomed(is) { this.button.hidden = !is; }
     zoom(x) {
       for (const chart of this.overTime ? charts.filter((each) => each.overTime) : [this]) {
         const inside = [clamp(x[0], ...chart.limits), clamp(x[1], ...chart.limits)];
-        if (inside[1] > inside[0]) { chart.panels.forEach((panel) => panel.show(inside)); chart.isZoomed(true); }
+        if (inside[1] > inside[0]) { chart.panels.forEach((panel) => panel.show(inside)); chart.isZoomed(true); chart.aligned(); }
       }
     }
     reset() {
-      for (const chart of this.overTime ? charts.filter((each) => each.overTime) : [this]) { chart.panels.forEach((panel) => panel.show()); chart.isZoomed(false); }
+      for (const chart of this.overTime ? charts.filter((each) => each.overTime) : [this]) { chart.panels.forEach((panel) => panel.show()); chart.isZoomed(false); chart.aligned(); }
     }
     say(text) { this.said.textContent = text; }
     // values at x with their units beside the names of the curves, or in the sentence where these have no names, and a line through all panels

@@ -37,13 +37,13 @@ const put = (data, key, value) => {
 class Simulation {
   /** The runs that a page has, and what it sweeps. */
   static async load(text) {
-    const { runs, swept } = await unpacked(text), modules = new Map(), simulations = [];
+    const { runs, swept, fixed } = await unpacked(text), modules = new Map(), simulations = [];
     for (const facts of runs) {
       const { module } = facts;
       if (!modules.has(module.byteOffset)) modules.set(module.byteOffset, await WebAssembly.compile(module));
       simulations.push(new Simulation(facts, (await WebAssembly.instantiate(modules.get(module.byteOffset))).exports));
     }
-    return { simulations, swept };
+    return { simulations, swept, fixed };
   }
 
   constructor(facts, exports) {

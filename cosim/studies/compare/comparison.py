@@ -166,7 +166,7 @@ class Comparison(Rows):
         if live:
             from flexfmu.cosim.exchange.live import side_by_side  # which few comparisons need
 
-            page = side_by_side(page, [(each.name, each.run) for each in self.runs])
+            page = side_by_side(page, self.runs)
         return page.html
 
     def write(self, folder: str | os.PathLike[str], *, live: bool = False) -> Path:

@@ -33,6 +33,7 @@ from flexfmu.cosim.reports.page import FIRST_METRICS, TILES, Page, Plot, Table
 from flexfmu.cosim.reports.report import of_scene
 from flexfmu.cosim.studies.sweep.cases import Cases, short_text, text_of
 from flexfmu.cosim.studies.sweep.work import Row
+from flexfmu.model.scene.keys import value_at
 from flexfmu.model.scene.schema import Scene
 
 if TYPE_CHECKING:
@@ -212,7 +213,9 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
             if self.scene is None:
                 raise InputError(f"the page of {self.name} can't simulate: it is no scene")
             spans = {key: (min(numbers[key]), max(numbers[key])) if key in numbers else None for key in self.cases.keys}
-            page = swept_page(page, self.scene, spans, shown[:TILES])
+            data = self.scene.model_dump(mode="json", exclude_none=True)
+            own = {key: short_text(value_at(data, key)) for key in spans}
+            page = swept_page(page, self.scene, spans, own, shown[:TILES])
         return page.html
 
     def _definition(self, name: str) -> MetricDefinition:
@@ -245,9 +248,12 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
             order = np.array(cases)[np.argsort(x[cases], kind="stable")]
             more = {f"{key} [{shown_unit(self.units.get(key, ''))}]": np.array(numbers[key])[order] for key in numbers}
             width = 1.4 if np.unique(x[order]).size == order.size else 0.0
-            curves.append(
-                Curve(x[order], y[order], text, colour, width, dot="disc", more=more | {f"{label} [{unit}]": y[order]})
-            )
+            # what neither the legend nor numbers say
+            said = [] if text else [key for key in self.cases.keys if key not in numbers]
+            rows = (self.cases.changes(i) for i in order)
+            notes = [", ".join(f"{key}={short_text(row[key])}" for key in said) for row in rows] if said else ()
+            more = more | {f"{label} [{unit}]": y[order]}
+            curves.append(Curve(x[order], y[order], text, colour, width, dot="disc", more=more, notes=notes))
         source = {"metric": name, "key": along, "factor": factor}
         curves.append(Curve(np.empty(0), np.empty(0), "", INK, 0.0, dot="cross", is_read=False, source=source))
         panel = Panel(label=f"{label}\n[{unit}]", curves=curves, is_function=False)

@@ -279,7 +279,11 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
     page.locator("#live.ready").wait_for()
     shown = page.evaluate("Array.from(page.live.usual.signal('joint1.torque', 1))")
     np.testing.assert_array_equal(shown, run.recording["joint1.torque"].first)
-    # a slider
+    # a slider, of which zoomed charts show the curves too
+    torques = "page.charts.find(each => each.key === 'torques')"
+    page.evaluate(f"{torques}.zoom([0.1, 0.2])")
+    painted = f"{torques}.panels[0].plot.ctx.canvas.toDataURL()"
+    before_slider = page.evaluate(f"({torques}.body.scrollIntoView(), {painted})")
     tile, before = (
         page.locator(".tile [data-metric=peak_torque_1]"),
         page.locator(".tile [data-metric=peak_torque_1]").inner_text(),
@@ -288,6 +292,12 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
     slider.fill("-0.4")
     page.wait_for_timeout(800.0)
     assert tile.inner_text() != before
+    assert page.evaluate(painted) != before_slider
+    low, high = page.evaluate(f"{torques}.panels[0].shown.y")
+    drawn = page.evaluate(
+        f"{torques}.panels[0].curves.flatMap(({{ x, y }}) => [...y].filter((_, i) => x[i] > 0.1 && x[i] < 0.2))"
+    )
+    assert (low, high) == pytest.approx((min(drawn), max(drawn)), abs=0.06 * np.ptp(drawn))
     mass = float(page.url.partition("#payload.mass=")[2])
     own = run.parameters.get("payload.mass", run.scene.payload.mass)
     assert mass == pytest.approx(own * 3.0**-0.4, rel=1e-3)
@@ -468,9 +478,17 @@ def test_a_sweep_simulates_the_point_that_is_picked(browser: Any, tmp_path: Path
     figure = page.locator("figure", has=page.locator("h3", has_text="Peak torque, joint 1"))
     figure.scroll_into_view_if_needed()
     page.wait_for_timeout(500.0)
-    # the first point of the first line
+    # points with other values of what has no slider
+    page.evaluate("page.pick([[{ 'payload.mass': 2, 'trajectory.dwell': 0.2 }]])")
+    said = "This point isn't simulated: trajectory.dwell has no slider, and is 0.25 in the page."
+    assert page.locator(".status").inner_text() == said
+    assert "#" not in page.url
+    page.evaluate("page.pick([[{ 'payload.mass': 2, 'trajectory.dwell': 0.25 }, 'trajectory.profile=poly5']])")
+    assert "trajectory.profile has no slider, and is poly7 in the page" in page.locator(".status").inner_text()
+    # the first point of the line with the scene's own, which lies on that of the other dwell
     place = """() => { const { plot, curves } = page.charts.find(each => each.key === 'sweep-peak_torque_1').panels[0];
-      return [plot.valToPos(curves[0].x[0], 'x'), plot.valToPos(curves[0].y[0], 'y')]; }"""
+      const { x, y } = curves.find(each => each.label.includes('duration=0.4, trajectory.dwell=0.25'));
+      return [plot.valToPos(x[0], 'x'), plot.valToPos(y[0], 'y')]; }"""
     left, top = page.evaluate(place)
     figure.locator(".u-over").hover(position={"x": left, "y": top})
     figure.locator(".u-over").click(position={"x": left, "y": top})
@@ -607,7 +625,7 @@ def test_what_a_slider_breaks_is_said_first(browser: Any, tmp_path: Path) -> Non
     assert any(each.strip() for each in errors.all_inner_texts())
 
     def moved(gain: float) -> Any:
-        page.evaluate(f"page.pick({{'controller[0].derivative': {gain}}})")
+        page.evaluate(f"page.pick([[{{'controller[0].derivative': {gain}}}]])")
         page.wait_for_timeout(1500.0)
         changed = scene.replace({"pd.kd": gain})
         with warnings.catch_warnings():
@@ -616,7 +634,7 @@ def test_what_a_slider_breaks_is_said_first(browser: Any, tmp_path: Path) -> Non
 
     run = moved(90.0)
     value = definition("peak_position_error").displayed(measure_run(run, 0)["peak_position_error"].value or 0.0)
-    assert f"leaves its path by up to {value:.3g} mm" in verdict.inner_text()
+    assert f"is up to {value:.3g} mm off its planned motion" in verdict.inner_text()
     assert verdict.inner_text() != before
     assert not alarm.is_visible()
     assert page.locator(".recorded").is_visible()
