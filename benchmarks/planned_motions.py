@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ from flexfmu import load_scene
 from flexfmu.cosim.cli.design import with_wishes
 from flexfmu.cosim.design.plans.plan_result import PlanResult, summary, write_scene
 from flexfmu.cosim.design.plans.planner import METHODS, plan_scene
+from flexfmu.cosim.experiment.timing import processor_time
 from flexfmu.model.scene.schema import Scene
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -75,7 +77,7 @@ def main() -> None:
     parser.add_argument("--cycle", action="store_true", help="with an empty return and pauses of 0.1 s")
     parser.add_argument("--out", type=Path, help="folder for the planned scenes")
     options = parser.parse_args()
-    found = []
+    found, loading = [], processor_time()
     for name in options.scenes:
         scene = load_scene(HEAVY).replace({"name": name, **OTHERS[name]}) if name in OTHERS else load_scene(name)
         if options.damping is not None:
@@ -83,30 +85,34 @@ def main() -> None:
         wishes: dict[str, Any] = {"cycle.pause": 0.1} if options.cycle else {}
         wishes |= {"front": options.front.split(",")} if options.front else {}
         scene = with_wishes(scene, wishes, options.limit)
-        result = planned(scene, tuple(options.method or METHODS), robust=options.robust)
+        result, first = planned(scene, tuple(options.method or METHODS), robust=options.robust)
         found.append(summary(result))
         if options.out is not None:
             write_scene(result, options.out / f"{result.goals.scene.name}-planned.toml")
         if not options.json:
-            show(result)
+            show(result, loading + first)
     if options.json:
         print(json.dumps(found, indent=1))
 
 
-def planned(scene: Scene, methods: tuple[str, ...], *, robust: bool) -> PlanResult:
-    """The plan, with what it does on standard error."""
+def planned(scene: Scene, methods: tuple[str, ...], *, robust: bool) -> tuple[PlanResult, float]:
+    """The plan, with what it does on standard error, and the processor time until its first motion is judged [s]."""
+    begin, first = processor_time(), list[float]()
 
     def told(text: str, fraction: float | None) -> None:
         print(f"  {text}", file=sys.stderr)
+        if "µm: " in text:
+            first.append(processor_time() - begin)
 
-    return plan_scene(scene, methods=methods, processes=os.cpu_count() or 1, robust=robust, show=told)
+    result = plan_scene(scene, methods=methods, processes=os.cpu_count() or 1, robust=robust, show=told)
+    return result, first[0] if first else math.inf
 
 
-def show(result: PlanResult) -> None:
-    """Print the chosen motion and the front."""
+def show(result: PlanResult, first: float) -> None:
+    """Print the chosen motion and the front, and the processor time until the first motion is judged [s], loading included."""
     chosen, given = result.chosen, result.given
     print(
-        f"\n{result.goals.scene.name}: {chosen.candidate.label} ({chosen.candidate.method}), CPU {result.cpu_time:.0f} s"
+        f"\n{result.goals.scene.name}: {chosen.candidate.label} ({chosen.candidate.method}), CPU {result.cpu_time:.0f} s, first motion after {first:.1f} s"
     )
     print(
         f"  time {chosen.time:.4f} s = {chosen.time / given.time:.3f} of {given.time:g} s; residual {1e6 * chosen.residual:.3f} um"

@@ -123,10 +123,6 @@ class MotionLimits:
             loads={name: limit / factors.get(name, 1.0) for name, limit in self.loads.items()},
         )
 
-    def of_variants(self, chosen: NDArray[np.intp]) -> MotionLimits:
-        """The limits of some variants."""
-        return replace(self, loads={name: limit[chosen] for name, limit in self.loads.items()})
-
 
 @dataclass(frozen=True, eq=False)
 class Inequalities:
@@ -169,10 +165,6 @@ class ResidualVibration:
         away = end + self.error
         away[:, 0] -= self._rest
         return away
-
-    def largest(self, end: RealArray) -> RealArray:
-        """Bounds (P,) of the displacement of the end effector after the motion [m]."""
-        return bounds(self.matrices, self.away(end))
 
     @cached_property
     def _moved(self) -> RealArray:
@@ -359,9 +351,9 @@ class Way:
     def of_cases(self, chosen: NDArray[np.intp]) -> Way:
         """The way with the robots of some cases."""
         index, cases = np.unique(self.cases[chosen], return_inverse=True)
-        return replace(
-            self, robots=[self.robots[int(k)] for k in index], limits=self.limits.of_variants(index), of_case=cases
-        )
+        loads = {name: limit[index] for name, limit in self.limits.loads.items()}
+        robots, limits = [self.robots[int(k)] for k in index], replace(self.limits, loads=loads)
+        return replace(self, robots=robots, limits=limits, of_case=cases)
 
 
 @dataclass(frozen=True, eq=False)

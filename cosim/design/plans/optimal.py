@@ -44,8 +44,12 @@ even 80."""
 PAYLOADS = 25, 13
 """Payloads of the band for which the limits hold: in the scene's model, and in the fuller one."""
 
-FULLER_NODES, FEW = 4, 7
-"""Payloads that the programmes have of the fuller model, and those of the scene's model for the first motion."""
+FULLER_NODES = 4
+"""Payloads that the programmes have of the fuller model."""
+
+FEW, WIDE = 3, 24
+"""Payloads of the scene's model for a first motion, which may vibrate, and intervals of its splines: it takes a second, and 1 % longer or less
+than the best motion for all."""
 
 GIVEN_STEPS, SWINGING = 304, 2.0
 """Steps of the integration for the given motion's loads, and for how many of its durations the robot swings after it, at most."""
@@ -65,9 +69,6 @@ start, if it exceeds one by more: a slower one has room to reach the limits."""
 
 ACTIVE, FULL, FULL_RESIDUAL = 0.98, 0.999, 0.9
 """Share of a limit from which on it is active, and shares of limits and of the residual vibration that motions may use."""
-
-ROUGH = 4.0
-"""Residual vibration of a first motion, relative to the allowed one, from which on the next begins with a bound that falls."""
 
 INTERRUPTED = "optimal control, interrupted"
 """Label of the motion that optimal control had when it was interrupted."""
@@ -104,7 +105,7 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
     if np.hypot(*(goals.trace[-1] - goals.trace[0])) < RETURN:
         raise InputError("optimal control plans a motion from one place to another, and this one ends where it starts")
     motions, nodes, few = _ways(goals)
-    tight_ways, loads = limited(goals, found[0], motions)
+    given = [each.given.once.joints for each in goals.ways or (goals,)]
 
     def made(splines: Sequence[JointSpline]) -> Candidate:
         time = sum(each.duration for each in splines) + goals.rest
@@ -113,25 +114,39 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
 
     improver = Improver(judge, made, nodes, goals.wishes.minimise, show)
 
-    given_motions = [way.start for way in tight_ways]
-
-    def starts() -> Iterator[tuple[str | float, Sequence[DesignedMotion], float, NDArray[np.intp] | None]]:
-        # with the first bound of the residual vibration and the first cases
+    def starts() -> Iterator[Candidate | str | tuple[str | float, list[JointSpline], float]]:
+        # first motions with the first bound of the residual vibration, and what is found on the way to them
         if goals.before:
             # near the best motions, if places and payloads have moved little
-            yield "before", list(map(_moved, goals.before, given_motions)), 0.0, None
+            yield "before", list(map(_moved, goals.before, map(_spline, given))), 0.0
+        ways, loads = limited(goals, found[0], few)
+        vibrating = {"residual": min(1.0, ways[0].limits.residual / optimal_control.LOOSE)}
         for share in _shares(goals, found[0]):
-            yield share, _timed(given_motions, share), optimal_control.LOOSE, few
+            wide = _timed([_spline(each, WIDE) for each in given], share)
+            key = ("optimal", share, "few")
+            tried = improver.best(key, *_from_motions(ways, loads, wide, vibrating), 0.0)
+            if tried is None:
+                yield f"optimal from {share}, few payloads: no motion can be planned"
+                continue
+            candidate = made(tried[0])
+            yield replace(candidate, label=f"{candidate.label}, few payloads", is_rough=True)
+            if tried[1]:
+                yield share, [_spline(each.trajectory()) for each in tried[0]], optimal_control.LOOSE
         # the best motion of other methods, if there is one
         others = [each for each in found if each.feasible and each.candidate.method != "given"]
         if others and not goals.ways:
             best = min(others, key=lambda each: each.worst(goals.wishes.minimise))
-            yield "other", [_spline(best.candidate.joints)], 0.0, None
+            yield "other", [_spline(best.candidate.joints)], 0.0
 
-    for key, first, loose, some in starts():
-        ways, _ = _from_motions(tight_ways, {}, first)
-        gives_back = key != "before"
-        if (yield from improver.refined(("optimal", key), ways, loads, loose, some, gives_back=gives_back)):
+    limits = None
+    for start in starts():
+        if isinstance(start, Candidate | str):
+            yield start
+            continue
+        key, splines, loose = start
+        limits = limits or limited(goals, found[0], motions)
+        ways, _ = _from_motions(limits[0], {}, splines)
+        if (yield from improver.refined(("optimal", key), ways, limits[1], loose, gives_back=key != "before")):
             break
     if goals.wishes.front:
         yield from _front(goals, found[0], motions, improver)
@@ -210,7 +225,6 @@ class Improver(Generic[Motion]):
         ways: Sequence[optimal_control.Way],
         loads: Mapping[str, RealArray],
         loose: float,
-        few: NDArray[np.intp] | None = None,
         *,
         gives_back: bool = True,
     ) -> Generator[Candidate | str, None, tuple[list[Motion], Assessment] | None]:
@@ -218,43 +232,32 @@ class Improver(Generic[Motion]):
 
         Args:
             key, ways, loads, loose: as for `best`; the key begins those of the journal.
-            few: cases of the first motions; None for all.
             gives_back: whether what a motion leaves of the limits is given back.
         """
-        wishes, last = self.judge.goals.wishes, None
-        is_first, is_free = gives_back, wishes.duration is None
+        last, is_first, is_free = None, gives_back, self.judge.goals.wishes.duration is None
         for number in range(self.tries):
-            some = np.arange(len(ways[0].cases)) if few is None or number else few
-            some_loads = {name: each[some] for name, each in loads.items()}
-            tried = self.best((*key, number), [way.of_cases(some) for way in ways], some_loads, loose)
+            tried = self.best((*key, number), ways, loads, loose)
             if tried is None:
                 yield f"{' from '.join(map(str, key))}, try {number + 1}: no motion can be planned"
                 return last
             motions, is_near = tried
             candidate = self.made(motions)
-            if some is few:
-                candidate = replace(candidate, label=f"{candidate.label}, few payloads", is_rough=True)
             yield candidate
             if not is_near:
                 return last
             judged = self.judge.assess(candidate)
             excess, slower = excesses(judged), 1.0
-            if some is few:
-                # the next programmes have the robots for which this motion was not made; the bound of the vibration falls step by step
-                excess, rough = {}, judged.residual > ROUGH * wishes.residual
-                loose = judged.residual if rough else 0.0
-            else:
-                last = motions, judged
-                if judged.feasible:
-                    # what it leaves of the limits is given back once
-                    left = reserves(judged) if is_first and is_free else {}
-                    excess, is_first = left if min(left.values(), default=1.0) < FULL_RESIDUAL else {}, False
-                if not excess:
-                    break
-                # what the FMU finds beyond the limits is taken off them, from this motion on
-                if is_free and max((each for name, each in excess.items() if name != "residual"), default=1.0) > SLOWER:
-                    slower = SLOWER
-                loose = 0.0
+            last = motions, judged
+            if judged.feasible:
+                # what it leaves of the limits is given back once
+                left = reserves(judged) if is_first and is_free else {}
+                excess, is_first = left if min(left.values(), default=1.0) < FULL_RESIDUAL else {}, False
+            if not excess:
+                break
+            # what the FMU finds beyond the limits is taken off them, from this motion on
+            if is_free and max((each for name, each in excess.items() if name != "residual"), default=1.0) > SLOWER:
+                slower = SLOWER
+            loose = 0.0
             ways, loads = _from_motions(ways, loads, _timed(motions, slower), excess)
         return last
 
@@ -323,9 +326,9 @@ def _shares(goals: Goals, given: Assessment) -> tuple[float, ...]:
     return ((goals.wishes.duration - goals.rest) / (given.time - goals.rest),)
 
 
-def _spline(joints: Trajectory) -> JointSpline:
-    """The spline that is closest to a motion of the joints."""
-    return fitted(joints, INTERVALS, side="left", crowding=CROWDING)
+def _spline(joints: Trajectory, intervals: int = 0) -> JointSpline:
+    """The spline that is closest to a motion of the joints, of `INTERVALS` or as many as are given."""
+    return fitted(joints, intervals or INTERVALS, side="left", crowding=CROWDING)
 
 
 def _moved(before: Trajectory, given: DesignedMotion) -> JointSpline:
@@ -365,8 +368,9 @@ def _candidate(goals: Goals, label: str, splines: Sequence[JointSpline]) -> Cand
     return replace(parts[0], ways=tuple(parts)) if goals.ways else parts[0]
 
 
-def _ways(goals: Goals) -> tuple[list[Robots], list[int], NDArray[np.intp]]:
-    """The robots of each way in the scene's model and in a fuller one with the robot of every case, the programmes' cases, and the first one's."""
+def _ways(goals: Goals) -> tuple[list[Robots], list[int], list[Robots]]:
+    """The robots of each way in the scene's model and in a fuller one with the robot of every case, the programmes' cases, and the robots of
+    the first motions."""
     each_goals, nodes = goals.ways or (goals,), list[int]()
     ways = [(list[RobotVariant](), list[NDArray[np.intp]]()) for _ in each_goals]
     for count, few, fuller in zip(PAYLOADS, (optimal_control.NODES, FULLER_NODES), (False, True), strict=True):
@@ -379,8 +383,13 @@ def _ways(goals: Goals) -> tuple[list[Robots], list[int], NDArray[np.intp]]:
             if scene is not None:
                 cases.append(len(robots) + of_case)
                 robots += robots_of(scene, own)
-    first_nodes = nodes_of(max((each.variations(PAYLOADS[0]) for each in each_goals), key=len), FEW)
-    return [(robots, np.concatenate(cases)) for robots, cases in ways], nodes, np.array(first_nodes)
+    chosen = nodes_of(max((each.variations(PAYLOADS[0]) for each in each_goals), key=len), FEW)
+    first = [(robots, *np.unique(cases[0][chosen], return_inverse=True)) for robots, cases in ways]
+    return (
+        [(robots, np.concatenate(cases)) for robots, cases in ways],
+        nodes,
+        [([robots[int(k)] for k in index], of_case) for robots, index, of_case in first],
+    )
 
 
 def robots_of(scene: Scene, variations: Sequence[Variation]) -> list[RobotVariant]:

@@ -32,7 +32,7 @@ from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.many.journal import FILE, WorkJournal, about_scene
 from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
-from flexfmu.model.reference_design.optimal_control import GROUPS, Improvement, ResidualVibration, Way
+from flexfmu.model.reference_design.optimal_control import GROUPS, Improvement, ResidualVibration, Way, bounds
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -145,6 +145,8 @@ def test_what_the_fmu_finds_beyond_a_limit_is_taken_off_it(
         "plan.duration": None,
         "plan.payload_band": 0.3,
         "plan.residual": 1e-3,
+        # the motion on the given path, with few intervals, cuts a corner by 0.04 mm
+        "plan.margin": 3e-4,
         "plan.limits": limits,
     }
     goals = goals_of(SCENE.replace(wishes))
@@ -186,7 +188,8 @@ def test_what_settles_is_bounded_as_the_fmu_settles(ratio: float, mass: float, t
     away = np.hypot(*(points - static_equilibrium(scene, last).position).T)
     for wait in (0.0, 0.03, 0.1, 0.2):
         swing = float(away[run.recording.time >= time + wait].max())
-        bound = float(ResidualVibration([response.model], last, wait).largest(state)[0])
+        vibration = ResidualVibration([response.model], last, wait)
+        bound = float(bounds(vibration.matrices, vibration.away(state))[0])
         assert 0.99 * swing - 1e-8 < bound < 2.0 * swing + 1e-8
 
 
@@ -225,7 +228,7 @@ def test_attempts_that_miss_by_far_are_seen(monkeypatch: pytest.MonkeyPatch) -> 
     assert len(result.assessed) == 2
     assert all(each.excess > 1.0 for each in result.assessed)
     assert result.chosen.excess == min(each.excess for each in (result.given, *result.assessed))
-    assert result.failures == ("optimal from 0.5, try 1: no motion can be planned",)
+    assert result.failures == ("optimal from 0.5, few payloads: no motion can be planned",)
 
 
 CYCLE = SCENE.replace(
@@ -276,8 +279,9 @@ def test_both_ways_of_a_cycle_keep_its_limits_in_the_fmu(tmp_path: Path, monkeyp
             squares[k] += rms**2 * (length + dwell) + holding**2 * (0.05 - dwell)
             time[k] += length + 0.05
     found = np.sqrt(squares / time[:, np.newaxis])
-    assert found[1] == pytest.approx(result.chosen.values["rms_torque"][0], rel=1e-4)
-    assert (found[1] < 1.0001 * found[0]).all()
+    # less what swings on after the pause
+    assert found[1] == pytest.approx(result.chosen.values["rms_torque"][0], rel=5e-4)
+    assert (found[1] < 1.0005 * found[0]).all()
     assert time == pytest.approx([result.given.time, result.chosen.time])
     table = result.drive_table(4000.0)
     assert 4000.0 * result.chosen.time - 1.0 < len(table.torque) < 4000.0 * result.chosen.time + 2.0
