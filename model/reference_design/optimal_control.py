@@ -96,6 +96,7 @@ class MotionLimits:
         pause: time at rest after the motion [s], which RMS torques contain.
         settled_within: time after the motion from which the residual vibration counts [s].
         drives: the motors, for their loads; None for none.
+        clearance: the smallest distance [m].
     """
 
     loads: Mapping[str, RealArray]
@@ -107,18 +108,13 @@ class MotionLimits:
     pause: float = 0.0
     settled_within: float = 0.0
     drives: Drives | None = None
+    clearance: float = 0.0
 
     def tightened(self, factors: Mapping[str, float]) -> MotionLimits:
-        """The limits, each divided by a factor, 1 where there is none; distances are shorter by ``clearance`` [m]."""
-        distances = self.distances
-
-        def shorter(points: RealArray) -> tuple[RealArray, RealArray]:
-            distance, gradient = distances(points)
-            return distance - factors["clearance"], gradient
-
+        """The limits, each divided by a factor, 1 where there is none; the clearance is larger by ``clearance`` [m]."""
         return replace(
             self,
-            distances=shorter if "clearance" in factors else distances,
+            clearance=self.clearance + factors.get("clearance", 0.0),
             **{name: getattr(self, name) / factors.get(name, 1.0) for name in (*RATES, "residual")},
             loads={name: limit / factors.get(name, 1.0) for name, limit in self.loads.items()},
         )
@@ -457,7 +453,7 @@ class _WayProgramme:
             *((name, np.abs(each) / largest - 1.0) for name, each, largest in rates),
             ("speed", motion.conditions()[0]),
             *((name, np.abs(loads.values(name)) / unit - 1.0) for name, unit in self._units.items()),
-            ("clearance", -distance / DEPTH),
+            ("clearance", (limits.clearance - distance) / DEPTH),
         ]
         return WayState(motion, loads, parts, gradient)
 
@@ -904,29 +900,31 @@ def optimal_motion(
             robots = np.unique(way.cases[chosen])
             each.vibration.error = there.loads.response.end[robots] - here.loads.response.end
             each.vibration.matrices = fine_way.vibration.matrices[robots]
+        before = motions
         for better in map(_improvement, stage.improvements(motions, iterations, penalty)):
             motions = better.motions
             yield better
         exact = fine.scaled(fine.state(motions, derivatives=False, renewed=True))
         met = bool((exact.violations <= CHECKED).all())
         yield replace(_improvement(exact), checked=met)
-        if met:
+        # programmes that don't meet their limits by any step won't meet tighter ones
+        is_stuck = all(now is then for now, then in zip(motions, before, strict=True))
+        if met or (is_stuck and max(better.violations.values()) > MET):
             return
-        # what else lies between them tightens the limits
-        missed = {name for name, is_missed in zip(GROUPS, exact.violations > CHECKED, strict=True) if is_missed}
-        beyond, worst = {"residual": min(_largest(exact.amplitudes) / limit, TIGHTER)}, list[int]()
-        if "clearance" in missed:
-            # also between instants of the coarse grid
-            excess["clearance"] = excess.get("clearance", 0.0) + DEPTH * float(exact.violations[CLEARANCE])
-        # each load of every way, by case
+        # what else lies between them, or between instants, tightens the limits
+        missed = {name: each for name, each, most in zip(GROUPS, exact.violations, CHECKED, strict=True) if each > most}
+        for name, violation in missed.items():
+            if name == "clearance":
+                excess[name] = excess.get(name, 0.0) + DEPTH * violation
+            else:
+                is_residual = name == "residual"
+                factor = min(_largest(exact.amplitudes) / limit, TIGHTER) if is_residual else (1.0 + violation) / 0.9998
+                excess[name] = excess.get(name, 1.0) * factor
+        # with the worst case of each load
         sizes = [(name, each) for name, each in exact.loads.items()]
         for way, there in zip(ways, exact.ways, strict=True):
-            sizes += [(name, each[way.cases] + 1.0) for name, each in there.parts if name in way.limits.loads]
-        for name, size in sizes:
-            if name in missed:
-                beyond[name] = max(beyond.get(name, 0.0), float(size.max()) / 0.9998)
-                worst.append(int(np.unravel_index(size.argmax(), size.shape)[0]))
-        excess |= {name: excess.get(name, 1.0) * factor for name, factor in beyond.items() if name in missed}
+            sizes += [(name, each[way.cases]) for name, each in there.parts if name in way.limits.loads]
+        worst = [int(np.unravel_index(each.argmax(), each.shape)[0]) for name, each in sizes if name in missed]
         chosen = np.unique([*chosen, *worst])
 
 

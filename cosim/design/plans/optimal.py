@@ -474,8 +474,8 @@ def limited(
         distances = of_way.clearance.of_ways if walls else of_way.clearance.distances
         own = optimal_control.MotionLimits(
             loads, speed, acceleration, jerk, quiet * goals.wishes.residual, distances, of_way.standstill,
-            goals.wishes.settled_within, drives,
-        ).tightened({"clearance": -clear * goals.wishes.margin})  # fmt: skip
+            goals.wishes.settled_within, drives, -clear * goals.wishes.margin,
+        )  # fmt: skip
         ways.append(optimal_control.Way(robots, own, _spline(of_way.given.once.joints), cases))
     return ways, {name: limit for name, limit in limits.items() if name in OF_CYCLE}
 
@@ -524,7 +524,9 @@ def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: Sh
     # near the path, and where a robot isn't, hardly further away
     response = FleetResponse(robots, motors.coefficients[0], motors.intervals).of_motion(motors, derivatives=False)
     width = max(NEAR_PATH * goals.wishes.margin, -GROWTH * float(_within(goals, 0.0, response.position)[0].min()))
-    limits = replace(way.limits, distances=partial(_within, goals, width), residual=QUIET * goals.wishes.residual)
+    limits = replace(
+        way.limits, distances=partial(_within, goals, width), clearance=0.0, residual=QUIET * goals.wishes.residual
+    )
     nodes = nodes_of(variations, optimal_control.NODES)
 
     def made(motions: Sequence[JointSpline], note: str = "") -> Candidate:
