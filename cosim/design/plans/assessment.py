@@ -287,7 +287,7 @@ class Judge:
 
     def _of_cycle(self, ways: Sequence[Assessment], motions: Sequence[Trajectory]) -> tuple[Values, Values]:
         """What a cycle needs over all its ways and pauses, for each robot of the bands and what it carries on the other ways, and instants."""
-        durations = np.array([way.time + goals.standstill for way, goals in zip(ways, self.goals.ways, strict=True)])
+        durations = np.array([way.time + goals.pause for way, goals in zip(ways, self.goals.ways, strict=True)])
         robots, starts, period = [way.robots for way in ways], np.cumsum(durations) - durations, durations.sum()
         cases, values, times = cases_of(robots), dict[str, RealArray](), dict[str, RealArray]()
         periodic, more = _left_vibration(self.goals, motions, robots, cases)
@@ -352,7 +352,7 @@ class Judge:
             return np.array([float(metrics[f"{name}_{joint}"]) for joint in (1, 2)])
 
         # mean squares over the pause of a cycle instead of the dwell, at the end of which the robot rests
-        dwell, pause = time[-1] - end, self.goals.standstill
+        dwell, pause = time[-1] - end, self.goals.pause
         late = time >= end + pause
         swings = [np.trapezoid(each[late] ** 2 - each[-1] ** 2, time[late]) for each in torques]
         more = [each[-1] ** 2 * (pause - dwell) for each in torques] - np.array(swings)
@@ -441,7 +441,7 @@ def _left_vibration(
         ends.append(optimal_control.ResidualVibration([response.model], last))
         states.append(ends[-1].away(response.respond(references, motion.duration).end))
         transfers.append(response.transfer(motion.duration))
-    left = optimal_control.LeftVibration([end.rests for end in ends], [each.standstill for each in goals.ways], cases)
+    left = optimal_control.LeftVibration([end.rests for end in ends], [each.pause for each in goals.ways], cases)
     left.renew(transfers)
     pairs = zip(ends, cases, left.periodic(states), states, strict=True)
     bounds = optimal_control.bounds

@@ -110,7 +110,7 @@ class Goals:
         limits: by name; ``clearance`` is that of a depth.
         payload: mass that the planned scene has [kg]; None for that of `scene`.
         own: the given motion of the joints where it isn't the scene's.
-        pause: time at rest after the motion that RMS torques contain [s]; None for the scene's dwell.
+        pause: time at rest after the motion that RMS torques contain [s]: of a cycle, or the given scene's dwell.
         loop: the scene with the controllers that will follow the planned motion; None for motors that follow exactly.
         before: joint references of an earlier plan, of each way, from which optimal control goes on first.
         ways: the goals of each way of a cycle; empty for a single motion. The goals of a cycle have the scene of its first way.
@@ -122,7 +122,7 @@ class Goals:
     limits: Mapping[str, Limit]
     payload: float | None = None
     own: Trajectory | None = None
-    pause: float | None = None
+    pause: float = 0.0
     loop: Scene | None = None
     before: tuple[Trajectory, ...] = ()
     ways: tuple[Goals, ...] = ()
@@ -168,14 +168,9 @@ class Goals:
         return found
 
     @property
-    def standstill(self) -> float:
-        """Time at rest after the motion that RMS torques contain [s]."""
-        return self.scene.trajectory.dwell if self.pause is None else self.pause
-
-    @property
     def rest(self) -> float:
         """Pauses of a cycle together [s]; 0 for a single motion."""
-        return sum(each.standstill for each in self.ways)
+        return sum(each.pause for each in self.ways)
 
     @property
     def drives(self) -> Drives | None:
@@ -304,7 +299,7 @@ def _goals_of_motion(scene: Scene) -> Goals:
             limits[name] = Limit(name, value, unit_of((name,), PlanLimits) or "1", rounding=MET)
     if wishes.duration is not None:
         limits["time"] = Limit("time", wishes.duration, "s", rounding=MET)
-    return Goals(longer, wishes, limits, 0.0 if empty else None, loop=loop)
+    return Goals(longer, wishes, limits, 0.0 if empty else None, pause=scene.trajectory.dwell, loop=loop)
 
 
 def _with_feedforward(scene: Scene) -> Scene:

@@ -456,7 +456,7 @@ def limited(
     for of_way, (robots, cases) in zip(each_goals, motions, strict=True):
         needs.append({name: each[cases] for name, each in _given_loads(of_way, robots, names).items()})
     # the largest of all ways, or their sum
-    usual, time = dict[str, RealArray](), sum(each.given.once.duration + each.standstill for each in each_goals)
+    usual, time = dict[str, RealArray](), sum(each.given.once.duration + each.pause for each in each_goals)
     for name in names:
         of_ways = [each[name] for each in needs]
         usual[name] = np.sum(of_ways, axis=0) if name in OF_CYCLE else np.max(of_ways, axis=0)
@@ -473,7 +473,7 @@ def limited(
                 np.minimum.at(loads[name], cases, limit)
         distances = of_way.clearance.of_ways if walls else of_way.clearance.distances
         own = optimal_control.MotionLimits(
-            loads, speed, acceleration, jerk, quiet * goals.wishes.residual, distances, of_way.standstill,
+            loads, speed, acceleration, jerk, quiet * goals.wishes.residual, distances, of_way.pause,
             goals.wishes.settled_within, drives, -clear * goals.wishes.margin,
         )  # fmt: skip
         ways.append(optimal_control.Way(robots, own, _spline(of_way.given.once.joints), cases))
@@ -486,12 +486,12 @@ def _given_loads(goals: Goals, robots: Sequence[RobotVariant], names: Sequence[s
     first, last = joints.evaluate([0.0, joints.duration], 0, "right")[0]
     link_loads = tuple(name for name in LINK_LOADS if name in names)
     # torques of the pause are those of a robot that still swings, as in the FMU
-    swinging = SHARED * int(GIVEN_STEPS / SHARED * min(goals.standstill / joints.duration, SWINGING))
+    swinging = SHARED * int(GIVEN_STEPS / SHARED * min(goals.pause / joints.duration, SWINGING))
     elastic = FleetResponse(robots, first, GIVEN_STEPS + swinging, link_loads)
     duration = joints.duration * (1.0 + swinging / GIVEN_STEPS)
     references = np.hstack(list(joints.evaluate(elastic.fractions * duration, 2, "left")))
     holding = joined([part.model.rest(last).torque for part in elastic.parts])
-    still = goals.standstill + joints.duration - duration
+    still = goals.pause + joints.duration - duration
     loads = Loads(elastic.respond(references, duration), holding, still, goals.drives, link_loads)
     return {name: loads.need(name, 3 * GIVEN_STEPS) for name in names}
 

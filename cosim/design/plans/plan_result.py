@@ -34,6 +34,7 @@ from flexfmu.cosim.reports.comparison import ComparedRun, first_tiles, metrics_t
 from flexfmu.cosim.reports.page import Page, Plot, Table
 from flexfmu.cosim.reports.plots import to_scale
 from flexfmu.cosim.reports.report import of_scene
+from flexfmu.model.reference_design.loads import OF_CYCLE
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
@@ -218,7 +219,7 @@ class PlanResult(Rows):
             run = way.prepared(step=1.0 / rate).run()
             joints = run.plan.joints
             # up to the first sample at rest; in a cycle up to that before the next motion
-            pause, moving = goals.standstill if candidate.ways else 0.0, math.ceil(joints.duration * rate - SHARE)
+            pause, moving = goals.pause if candidate.ways else 0.0, math.ceil(joints.duration * rate - SHARE)
             steps = max(moving, math.ceil((joints.duration + pause) * rate - SHARE) - 1)
             instants = np.arange(steps + 1) / rate
             angles = per_radian * joints.evaluate(np.minimum(instants, joints.duration), 2, "right")
@@ -433,6 +434,11 @@ def summary(result: PlanResult) -> dict[str, Any]:
         keys = "name", "value", "limit", "unit", "where", "met"
         return each.row | {"limits": [{key: getattr(use, key) for key in keys} for use in each.uses]}
 
+    def of_way(each: Assessment) -> dict[str, Any]:
+        # what is relative to the given cycle, and what adds up over it, is limited for the cycle alone
+        own = tuple(use for use in each.uses if not use.is_relative and use.figure not in OF_CYCLE)
+        return figures(replace(each, uses=own))
+
     data = {
         "scene": result.goals.scene.name,
         "minimise": result.goals.wishes.minimise,
@@ -446,7 +452,7 @@ def summary(result: PlanResult) -> dict[str, Any]:
             for each in result.assessed
         ],
         "compared": [figures(each) for each in result.table if each not in result.front],
-        "ways": [[figures(each) for each in pair] for pair in result.ways],
+        "ways": [[of_way(each) for each in pair] for pair in result.ways],
         "verdict": result.verdict,
         "interrupted": result.interrupted,
         "failures": list(result.failures),

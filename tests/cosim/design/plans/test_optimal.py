@@ -23,9 +23,9 @@ from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.plans import assessment
 from flexfmu.cosim.design.plans import optimal as method
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
-from flexfmu.cosim.design.plans.goals import Goals, goals_of
+from flexfmu.cosim.design.plans.goals import LEAST_DWELL, Goals, goals_of
 from flexfmu.cosim.design.plans.optimal import flexible, optimal
-from flexfmu.cosim.design.plans.plan_result import PlanResult, planned_scenes, write_plan
+from flexfmu.cosim.design.plans.plan_result import PlanResult, planned_scenes, summary, write_plan
 from flexfmu.cosim.design.plans.planner import plan_scene
 from flexfmu.cosim.design.plans.sampled_loop import loop_run, with_learned_torques
 from flexfmu.cosim.engine.errors import InputError, ResultsError
@@ -193,6 +193,17 @@ def test_what_settles_is_bounded_as_the_fmu_settles(ratio: float, mass: float, t
         assert 0.99 * swing - 1e-8 < bound < 2.0 * swing + 1e-8
 
 
+@pytest.mark.parametrize("dwell", [0.0, 0.1, 0.4])
+def test_rms_torques_are_those_over_the_dwell_of_the_scene(dwell: float) -> None:
+    """Motions are judged over a longer dwell, in which the vibration is seen, and the motors rest."""
+    scene = SCENE.replace({"trajectory.dwell": dwell, "plan.payload_band": 0.0, "plan.limits.rms_torque": None})
+    goals = goals_of(scene)
+    assert goals.scene.trajectory.dwell == max(dwell, LEAST_DWELL)
+    metrics = flexfmu.run(scene.replace({"plan": None, "cosimulation.initial": "static"})).metrics
+    expected = [float(metrics[f"rms_torque_{joint}"]) for joint in (1, 2)]
+    assert Judge(goals).given.values["rms_torque"][0] == pytest.approx(expected, rel=1e-5)
+
+
 @pytest.mark.parametrize("dwell", [0.25, 1.5])
 def test_rms_torques_of_the_given_motion_have_its_swing_as_in_the_fmu(dwell: float) -> None:
     """Without damping the torques of the pause are up to a tenth of them; after a long pause the robot is taken to rest."""
@@ -264,6 +275,9 @@ def test_both_ways_of_a_cycle_keep_its_limits_in_the_fmu(tmp_path: Path, monkeyp
     assert not result.missed
     assert result.chosen.time < 0.85 * result.given.time
     write_plan(result, tmp_path)
+    # what is limited for the cycle alone isn't limited for its ways
+    for pair in summary(result)["ways"]:
+        assert {each["name"] for each in pair[1]["limits"]} == {"residual", "clearance"}
     squares, time = np.zeros((2, 2)), np.zeros(2)
     for way, pair in enumerate(result.ways):
         for k, each in enumerate(pair):
