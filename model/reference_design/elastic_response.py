@@ -435,6 +435,12 @@ class Rest:
     torque: RealArray
     jacobian: RealArray
 
+    @property
+    def mass(self) -> RealArray:
+        """Mass matrices (P, n, n) of the elastic coordinates."""
+        n = self.elastic.shape[1]
+        return self.jacobian[:, :n, 2 * n : 3 * n]
+
 
 @dataclass(frozen=True, eq=False)
 class FreeModes:

@@ -197,28 +197,45 @@ def _largest(amplitudes: Sequence[RealArray]) -> float:
 class LeftVibration:
     """What the ways of a cycle leave of vibration in the next, in the periodic motion.
 
-    The payload changes at the end of the pause, carried by what it lies on: elastic coordinates keep their distance from rest, and their rates.
+    The payload changes at the end of the pause, carried by what it lies on: elastic coordinates keep their distance from rest; their rates stay
+    where a payload is left, and where one at rest is gripped the momentum of each coordinate stays.
 
     Args:
-        ends: the robots of each way at rest after it, by scene.
+        starts, ends: the robots of each way at rest before and after it, by scene.
         pauses: time at rest after each way [s].
         of_case: index of the robot of each case for each way (W, C).
     """
 
     def __init__(
-        self, ends: Sequence[Sequence[Rest]], pauses: Sequence[float], of_case: Sequence[NDArray[np.intp]]
+        self,
+        starts: Sequence[Sequence[Rest]],
+        ends: Sequence[Sequence[Rest]],
+        pauses: Sequence[float],
+        of_case: Sequence[NDArray[np.intp]],
     ) -> None:
         self.of_case, self._handed = of_case, list[RealArray]()
-        for rests, pause, cases in zip(ends, pauses, of_case, strict=True):
+        before, after = (
+            [joined([rest.mass for rest in each])[cases] for each, cases in zip(rests, of_case, strict=True)]
+            for rests in (starts, ends)
+        )
+        for w, (rests, pause, cases) in enumerate(zip(ends, pauses, of_case, strict=True)):
             systems = [free_systems(rest) for rest in rests]
             decays = joined(
                 [expm(each * pause).reshape(-1, 2, n, 2, n) for each in systems for n in [each.shape[1] // 2]]
             )
-            self._handed.append(decays[cases])
+            handed, now, then = decays[cases], after[w], before[(w + 1) % len(before)]
+            heavier = np.trace(then - now, axis1=1, axis2=2) > 0.0
+            # coordinates that a scene doesn't have
+            none = np.eye(now.shape[1]) * (np.diagonal(then, axis1=1, axis2=2) == 0.0)[:, np.newaxis]
+            gripped = np.linalg.solve((then + none)[heavier], now[heavier])
+            handed[heavier, 1] = np.einsum("cij,cj...->ci...", gripped, handed[heavier, 1])
+            self._handed.append(handed)
         self._matrix: RealArray | None = None
+        self.growth = np.zeros(len(of_case[0]))
 
     def renew(self, transfers: Sequence[RealArray]) -> None:
-        """Take new transfers (P, 2, n, 2, n) from start to end of each way, see `ElasticResponse.transfer`."""
+        """Take new transfers (P, 2, n, 2, n) from start to end of each way, see `ElasticResponse.transfer`; ``growth`` (C,) is by how much
+        vibration is larger after a cycle, at most: a periodic motion needs less than 1."""
         count, cases, _, n, *_ = (len(transfers), *self._handed[0].shape)
         size = 2 * n
         moved = np.zeros((cases, count * size, count * size))
@@ -227,6 +244,8 @@ class LeftVibration:
             both = transfers[k][self.of_case[k]].reshape(cases, size, size) @ handed.reshape(cases, size, size)
             moved[:, k * size : (k + 1) * size, w * size : (w + 1) * size] += both
         inverse = np.linalg.inv(np.eye(count * size) - moved)
+        round_trip = np.linalg.matrix_power(moved, count)[:, :size, :size]
+        self.growth = np.abs(np.linalg.eigvals(round_trip)).max(axis=1)
         self._matrix = np.asarray(inverse).reshape(cases, count, size, count, size)
 
     def periodic(self, states: Sequence[RealArray]) -> list[RealArray]:
@@ -435,6 +454,7 @@ class _WayProgramme:
         self._links = tuple(name for name in LINK_LOADS if name in way.limits.loads)
         self.elastic = FleetResponse(way.robots, before, parts * start.intervals, self._links)
         models = [part.model for part in self.elastic.parts]
+        self.starts = [model.rest(before) for model in models]
         self.vibration = ResidualVibration(models, after, way.limits.settled_within)
         self._largest = [np.broadcast_to(getattr(way.limits, name), 2) for name in RATES]
         # of each load at all instants; link loads have one limit each for all their places
@@ -524,8 +544,9 @@ class Stage:
         self._metric = block_diag(*(way.metric for way in self.ways))
         self.left = None
         if len(ways) > 1:
-            ends, pauses = [way.vibration.rests for way in self.ways], [way.limits.pause for way in ways]
-            self.left = LeftVibration(ends, pauses, [way.cases for way in self.ways])
+            starts, ends = [way.starts for way in self.ways], [way.vibration.rests for way in self.ways]
+            pauses, cases = [way.limits.pause for way in ways], [way.cases for way in self.ways]
+            self.left = LeftVibration(starts, ends, pauses, cases)
 
     def state(self, motions: Motions, *, derivatives: bool = True, renewed: bool = False) -> State:
         """Evaluate motions; with derivatives, or if it is wanted, with new transfers of vibration from way to way."""

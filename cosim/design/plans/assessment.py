@@ -31,7 +31,7 @@ from flexfmu.cosim.metrics.motors import motor_loads
 from flexfmu.cosim.metrics.signals import POSITION, TORQUES, deviation_from_point, position
 from flexfmu.cosim.metrics.stress import link_stresses
 from flexfmu.model.reference_design import optimal_control
-from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.elastic_response import ElasticResponse, Rest
 from flexfmu.model.reference_design.loads import OF_CYCLE, ROOTS, weight_of_squares
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
@@ -52,8 +52,8 @@ SAME_PLACE = 1e-5
 JUDGED = 25
 """Payloads of the band for which every motion is judged."""
 
-STEPS = 300
-"""Steps of the integration that tells what a way leaves in the next."""
+STEPS, CYCLES = 300, 100
+"""Steps of the integration that tells what a way leaves in the next, and cycles after which vibration that grows is judged."""
 
 SAMPLES = 65
 """Instants at which references are compared with those in a journal."""
@@ -432,18 +432,23 @@ def _left_vibration(
     cases: Sequence[NDArray[np.intp]],
 ) -> RealArray:
     """Bounds (2, W, C, 1) [m] of each way's residual vibration in the periodic motion, and of its difference from that from rest."""
-    ends, states, transfers = list[optimal_control.ResidualVibration](), list[RealArray](), list[RealArray]()
+    starts, ends = list[list[Rest]](), list[optimal_control.ResidualVibration]()
+    states, transfers = list[RealArray](), list[RealArray]()
     for way, motion, robots in zip(goals.ways, motions, variations, strict=True):
         first, last = motion.evaluate([0.0, motion.duration], 0, "right")[0]
         changes = [each.changes(way.scene) for each in robots]
         response = ElasticResponse(way.scene, changes, first, STEPS, CompiledAtPoints)
         references = np.hstack(list(motion.evaluate(response.fractions * motion.duration, 2, "left")))
+        starts.append([response.model.rest(first)])
         ends.append(optimal_control.ResidualVibration([response.model], last))
         states.append(ends[-1].away(response.respond(references, motion.duration).end))
         transfers.append(response.transfer(motion.duration))
-    left = optimal_control.LeftVibration([end.rests for end in ends], [each.pause for each in goals.ways], cases)
+    pauses = [each.pause for each in goals.ways]
+    left = optimal_control.LeftVibration(starts, [end.rests for end in ends], pauses, cases)
     left.renew(transfers)
     pairs = zip(ends, cases, left.periodic(states), states, strict=True)
     bounds = optimal_control.bounds
     found = [[bounds(end.matrices[k], each) for each in (now, now - own[k])] for end, k, now, own in pairs]
-    return np.array(found).swapaxes(0, 1)[..., np.newaxis]
+    # where it grows from cycle to cycle, after many
+    grown = np.maximum(left.growth, 1.0)[:, np.newaxis] ** CYCLES
+    return np.asarray(np.array(found).swapaxes(0, 1)[..., np.newaxis] * grown)

@@ -11,13 +11,14 @@ from scipy.optimize import linprog
 import flexfmu
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.reference_design import elastic_response
-from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant
+from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant, VariantModel
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.loads import Drives, Loads
 from flexfmu.model.reference_design.optimal_control import (
     GROUPS,
     Aim,
     Improvement,
+    LeftVibration,
     MotionLimits,
     ResidualVibration,
     Stage,
@@ -286,3 +287,20 @@ def test_the_effort_has_its_derivatives_and_falls_in_the_given_duration(
     assert last.checked
     assert last.motions[0].duration == given.duration
     assert stage.state(last.motions, derivatives=False).cost < 0.9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_gripping_and_leaving_a_payload_gives_no_energy_to_vibration(seed: int) -> None:
+    """Of a robot without damping whose motors stand still, for drawn poses, payloads and pauses: what swings never grows from cycle to cycle."""
+    random = np.random.default_rng(seed)
+    scene = load_scene("barnard2012-6kg").replace({"effects.damping": {"kind": "none"}})
+    masses, cases = random.uniform(0.1, 8.0, (2, 5)), np.arange(5)
+    pose = plan(scene).joints.evaluate(random.uniform(0.0, 0.43), 0, "left")[0, 0]
+    models = [VariantModel(scene, [{"payload.mass": float(m)} for m in each]) for each in masses]
+    rests = [[model.rest(pose)] for model in models]
+    left = LeftVibration(rests, rests, random.uniform(0.01, 0.3, 2).tolist(), [cases, cases])
+    n = rests[0][0].elastic.shape[1]
+    still = np.broadcast_to(np.eye(2 * n).reshape(2, n, 2, n), (5, 2, n, 2, n))
+    left.renew([still, still])
+    assert (left.growth < 1.0 + 1e-6).all()
+    assert left.growth.min() > 0.1
