@@ -64,10 +64,11 @@ class PolygonRegion(RegionSection):
         sides = list(zip(corners, (*corners[1:], *corners[:1]), strict=True))
         if len(corners) < 3 or all(_turn(*sides[0], corner) == 0.0 for corner in corners):
             raise ValueError("`points` lie on one line: a polygon needs three corners that don't")
-        for (k, one), (n, other) in combinations(enumerate(sides), 2):
+        for one, other in combinations(sides, 2):
             if _cross(one, other):
+                named = " and ".join("({:g}, {:g}) to ({:g}, {:g})".format(*start, *end) for start, end in (one, other))
                 raise ValueError(
-                    f"sides {k} and {n} of `points` cross: list the corners in the order of the outline, or name two regions"
+                    f"sides of `points` cross or touch, {named} m: list the corners in the order of the outline, or name two regions"
                 )
         return self
 

@@ -42,7 +42,10 @@ SCENE = load_scene("barnard2012-6kg")
         ({"limits": {"torqe": 1.0}}, "did you mean `torque`"),
         ({"keep_out": [{"kind": "polygon", "points": [[0.0, 0.0], [1.0, 0.0]]}]}, "keep_out"),
         ({"keep_out": [{"kind": "polygon", "points": [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]]}]}, "on one line"),
-        ({"keep_out": [{"kind": "polygon", "points": [[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]]}]}, "cross"),
+        (
+            {"keep_out": [{"kind": "polygon", "points": [[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]]}]},
+            "sides of `points` cross or touch, (0, 0) to (1, 1) and (1, 0) to (0, 1) m",
+        ),
         ({"keep_out": [{"kind": "box", "corners": [[0.0, 0.3], [0.1, 0.3]]}]}, "opposite corners"),
         ({"payload_band": 30.0}, "`plan.payload_band`: must be a fraction to both sides"),
         ({"payload_band": [-1.0, 3.0]}, "[lightest, heaviest] in kg"),
