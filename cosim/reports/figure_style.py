@@ -15,6 +15,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.rcsetup import cycler
 from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from flexfmu.cosim.engine.drawing import NotebookFigure
@@ -42,6 +43,7 @@ DASHES = (0.0, (4.0, 3.0))
 """Of levels and marks."""
 
 _RC: Mapping[str, Any] = {
+    "axes.prop_cycle": cycler(color=[COLOURS[each] for each in chart.PALETTE]),
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
