@@ -143,13 +143,17 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
         """The metrics over the varied keys: lines for one key, heat maps for two, parallel coordinates for more."""
         from flexfmu.cosim.studies.sweep.picture import draw_cases
 
-        def labelled(name: str, label: str) -> str:
-            return f"{label} [{shown_unit(unit)}]" if (unit := self.units.get(name)) else label
+        def labelled(label: str, unit: str) -> str:
+            return f"{label} [{unit}]" if unit else label
 
-        keys = {labelled(key, key): column for key, column in zip(self.cases.keys, self.columns(), strict=True)}
-        titles = [labelled(name, self._definition(name).label) for name in self.metrics]
+        units = {key: shown_unit(self.units.get(key, "")) for key in self.cases.keys}
+        pairs = zip(self.cases.keys, self.columns(), strict=True)
+        keys = {labelled(key, units[key]): column for key, column in pairs}
+        metrics = [self._definition(name) for name in self.metrics]
+        titles = [labelled(each.label, each.display_unit) for each in metrics]
+        values = self.values * [each.displayed(1.0) for each in metrics]
         failed = f", {len(self.messages)} failed" if self.messages else ""
-        return draw_cases(f"{self.name}: {len(self)} cases{failed}", keys, titles, self.values)
+        return draw_cases(f"{self.name}: {len(self)} cases{failed}", keys, titles, values)
 
     def summary(self) -> dict[str, dict[str, Any]]:
         """Smallest, median and largest value of each metric, the cases of the extremes with their values, and the number of values."""
