@@ -205,11 +205,9 @@ class Improver(Generic[Motion]):
                 motions: Any = () if last is None else last.motions
                 candidates = [replace(self.made(motions), label=INTERRUPTED)] if motions else []
                 raise KeyboardInterrupt(*candidates) from None
-            return (
-                None
-                if last is None
-                else ([each.variables.tolist() for each in last.motions], max(last.violations.values()))
-            )
+            if last is None:
+                return None
+            return [each.variables.tolist() for each in last.motions], max(last.violations.values())
 
         kept = self.judge.journal.kept(key, Optimum, found)
         if kept is None:
@@ -269,7 +267,7 @@ FRONT_TO: Mapping[str, tuple[float, float]] = {
 rises; the residual vibration falls faster, and only slows a motion down, by and by."""
 
 NEAR_FRONT = 0.1
-"""The same for motions of a front."""
+"""Violation of the limits up to which a motion of a front is worth correcting."""
 
 LEVELS, LIFTED = (10, 4), 1e3
 """Numbers of levels of fronts of two figures and of three, and the factor of a limit that isn't one."""
@@ -297,10 +295,8 @@ def _front(
         text = ", ".join(f"{name} {100.0 * share:.3g} %" for name, share in zip(axes, shares, strict=True))
         level = replace(improver, made=partial(_candidate, goals, f"front: {text}"), near=NEAR_FRONT, tries=2)
         if last is None:
-            starts, loose = (
-                {share: _timed([way.start for way in unit_ways], share) for share in _shares(goals, given)},
-                optimal_control.LOOSE,
-            )
+            usual_motions, loose = [way.start for way in unit_ways], optimal_control.LOOSE
+            starts = {share: _timed(usual_motions, share) for share in _shares(goals, given)}
         else:
             rises = [(before[name] / each) ** FRONT_TO[name][1] for name, each in factors.items()]
             slower = 1.0 if goals.wishes.duration is not None else max(*rises, 0.9)
@@ -400,7 +396,7 @@ def robots_of(scene: Scene, variations: Sequence[Variation]) -> list[RobotVarian
 def excesses(judged: Assessment) -> Mapping[str, float]:
     """Factors above 1 by which limits of the programmes have to be tighter, and by how much ``clearance`` [m], after a motion's runs.
 
-    None if the motion keeps all limits, and if it is too far off: through a wall, or where distances from the path are limited.
+    Empty if the motion keeps all limits, and if it is too far off: through a wall, or where distances from the path are limited.
     """
     missed = {use.figure: use for use in judged.uses if not use.met}
     clearance = missed.pop("clearance", None)
