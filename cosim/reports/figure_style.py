@@ -51,6 +51,7 @@ _RC: Mapping[str, Any] = {
     "grid.linewidth": 0.8,
     "legend.frameon": False,
     "svg.hashsalt": "flexfmu",  # equal figures give equal files
+    "path.simplify_threshold": 0.3,  # of a point: smaller SVG files
     "font.family": "DejaVu Sans",
     "font.size": 9.5,
     "axes.titlesize": 10,

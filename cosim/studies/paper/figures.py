@@ -131,7 +131,7 @@ def placement() -> Figure:
     (axes,), mechanism = drawing.axes, motion.scene.mechanism
     long = mechanism.proximal.length + mechanism.distal.length
     short, half = abs(mechanism.distal.length - mechanism.proximal.length), mechanism.base_half_distance
-    x, y = np.meshgrid(*[np.linspace(-1.05 * long, 1.05 * long, 601)] * 2)
+    x, y = np.meshgrid(*[np.linspace(-1.05 * long, 1.05 * long, 201)] * 2)
     distances = [np.hypot(x - base, y) for base in (-half, half)]
     margin = np.min([np.minimum(long - distance, distance - short) for distance in distances], axis=0)
     axes.contourf(x, y, margin, levels=[0.0, np.inf], colors=[PALE], alpha=0.6)

@@ -3,6 +3,7 @@ on a terminal."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -46,8 +47,8 @@ from flexfmu.model.scene.file import load_scene
 DEFAULT_FOLDER = RESULTS / "paper"
 """Default folder of the results."""
 
-KEPT = " !$()*+,-./:;=?@[]_~"
-"""Characters of a data URL that aren't encoded; base64 would be a third longer."""
+KEPT = " !$'()*+,-./:;=?@[]_~"
+"""Characters of a data URL that aren't encoded, nor special within double quotes; base64 would be a third longer."""
 
 GRADE_COLOURS = {"close": "green", "near": "yellow", "far": "red", "misprint": "bright_black"}
 """Colours of cells on a terminal."""
@@ -104,7 +105,9 @@ class PaperReport:
 
         def embedded(figure: PaperFigure) -> dict[str, Any]:
             # identifiers of different figures can't clash in data URLs
-            drawing = (folder / figure.file(".svg")).read_text(encoding="utf-8").replace("\n", " ")
+            text = (folder / figure.file(".svg")).read_text(encoding="utf-8").replace('"', "'")
+            # without indentation, to a hundredth of a point
+            drawing = re.sub(r"(\.\d\d)\d+(?=[ '])", r"\1", re.sub(r"\s+", " ", text))
             return figure._asdict() | {"image": f"data:image/svg+xml,{quote(drawing, safe=KEPT)}"}
 
         figures = {figure.key: embedded(figure) for figure in self.figures}

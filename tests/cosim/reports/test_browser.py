@@ -97,9 +97,9 @@ def report(browser: Any, folder: Path) -> Iterator[Any]:
 
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_whole_on_a_phone_and_on_a_desk(name: str, browser: Any, folder: Path) -> None:
-    """Neither errors nor requests, at most 1.5 MB, and nothing beyond the window's edge; without scripts too."""
+    """Neither errors nor requests, at most 1 MB, and nothing beyond the window's edge; without scripts too."""
     path = folder / f"{name}.html"
-    assert path.stat().st_size < 1.5e6
+    assert path.stat().st_size < 1e6
     for has_scripts in (True, False):
         context = browser.new_context(java_script_enabled=has_scripts)
         page, problems = context.new_page(), list[str]()
