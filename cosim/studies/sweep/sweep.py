@@ -82,8 +82,9 @@ def sweep_scene(
     if missing and not any(key.startswith(("cosimulation.drive", "motor")) for key in cases.keys):
         need = "a scene with `[motor]`" if missing[0] in MOTOR_METRICS else "a robot driven by torques"
         raise InputError(f"there is no metric {missing[0]!r} of this robot: it needs {need}")
-    data = (_changed(scene, cases, 0) or scene).model_dump()
-    units = {key: unit_of(location(data, key), Scene) for key in cases.keys}
+    # by index, since a kind that varies may be what a key names its element by
+    own, data = scene.model_dump(exclude_none=True), (_changed(scene, cases, 0) or scene).model_dump()
+    units = {key: unit_of(location(data, full_key(own, key)), Scene) for key in cases.keys}
     units |= {name: ALL_METRICS[name].unit for name in measure.names}
     job = Job(scene, cases, groups_of(scene, cases), measure, record)
     # what is swept: another sweep doesn't continue this one

@@ -148,6 +148,18 @@ def test_cases_that_fail_say_why() -> None:
     assert [row["message"] for row in found] == [message] * 2
 
 
+def test_a_key_may_name_its_slave_by_the_kind_that_varies() -> None:
+    """Each value is that of the key with an index."""
+    scene = SCENE.replace({"shaper": [{"kind": "zvd"}]})
+    found = [
+        flexfmu.sweep(scene, {key: ["zv", "zvd"]}, metrics=PEAK, processes=1)
+        for key in ("shaper.zvd.kind", "zvd.kind", "shaper[0].kind")
+    ]
+    values = [[row["peak_torque_1"] for row in each] for each in found]
+    assert values[0] == values[1] == values[2]
+    assert values[0][0] != values[0][1]
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished sweep with signals."""
