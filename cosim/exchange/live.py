@@ -51,7 +51,7 @@ from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.segments import control_matrices, quadrature_of
 from flexfmu.cosim.metrics.signals import FIRST_BENDING
 from flexfmu.cosim.reports.comparison import ComparedRun
-from flexfmu.cosim.reports.page import Figure, Live, Page, with_few_points
+from flexfmu.cosim.reports.page import Figure, Live, Page
 from flexfmu.cosim.reports.plots import draw_plots
 from flexfmu.cosim.reports.report import report_page
 from flexfmu.cosim.reports.summary import summarise
@@ -228,7 +228,7 @@ def side_by_side(page: Page, runs: Sequence[ComparedRun]) -> Page:
     for each in runs:
         reason = f"it failed: {each.failure}" if each.failure else "only its results are known"
         found.append((each.name, LiveRun(reason=reason) if each.run is None else live_run(each.run, is_exact=False)))
-    return with_few_points(replace(page, live=simulating(found, range(len(found)))))
+    return replace(page, live=simulating(found, range(len(found))))
 
 
 def swept_page(
@@ -270,7 +270,7 @@ def swept_page(
     for name, (label, ends) in zip(names, page.tiles, strict=False):
         value = Figure.of(name, metrics[name].value, digits=4, error=metrics[name].error)
         tiles.append((f"{label.partition(', from')[0]}; in the sweep {' to '.join(ends)}", [value]))
-    return with_few_points(replace(page, live=live, first=[first], plots=[*page.plots, *others], tiles=tiles))
+    return replace(page, live=live, first=[first], plots=[*page.plots, *others], tiles=tiles)
 
 
 def _rest(run: Run) -> RealArray | None:

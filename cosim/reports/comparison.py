@@ -13,33 +13,32 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition, display
-from flexfmu.cosim.reports.chart import MOST_POINTS, PALETTE, Curve, Panel
 from flexfmu.cosim.reports.page import FIRST_METRICS, TILES, Figure, Page, Plot, Table
+from flexfmu.cosim.reports.plots import Shown, signal_plots
 from flexfmu.cosim.reports.report import of_scene
-from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
+from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption
+
+ALL = "Of all runs that have it."
 
 # fmt: off
-SIGNALS: Mapping[str, tuple[str, float, Mapping[str, str]]] = {
-    "Motor torques": ("N·m", 1.0, {"joint 1": "joint1.torque", "joint 2": "joint2.torque"}),
-    "Joint angles": ("rad", 1.0, {"joint 1": "joint1.position", "joint 2": "joint2.position"}),
-    "Position of the end effector": ("m", 1.0, {each: f"end_effector.position.{each}" for each in "xy"}),
-    "Acceleration of the end effector": ("m/s²", 1.0, {each: f"end_effector.acceleration.{each}" for each in "xy"}),
-    "Tip deflections": ("mm", 1e3, {"link 1": "link11.tip_deflection", "link 2": "link21.tip_deflection"}),
-    "Position error": ("mm", 1e3, {"error": "deviation"}),
-    "Spectra of the residual vibration": ("µm", 1e6, {"x": "spectrum x", "y": "spectrum y"}),
-}
+SIGNALS: Sequence[Shown] = [
+    (f"compared-{number}", title, caption, factor, {f"{name}\n[{unit}]": {of: name} for name, of in signals.items()})
+    for number, (title, unit, factor, signals, caption) in enumerate((
+        ("Motor torques", "N·m", 1.0, {f"joint {i}": f"joint{i}.torque" for i in "12"}, ALL),
+        ("Joint angles", "rad", 1.0, {f"joint {i}": f"joint{i}.position" for i in "12"}, ALL),
+        ("Position of the end effector", "m", 1.0, {each: f"end_effector.position.{each}" for each in "xy"}, ALL),
+        ("Acceleration of the end effector", "m/s²", 1.0, {each: f"end_effector.acceleration.{each}" for each in "xy"}, ALL),
+        ("Tip deflections", "mm", 1e3, {f"link {i}": f"link{i}1.tip_deflection" for i in "12"}, ALL),
+        ("Position error", "mm", 1e3, {"error": "deviation"}, "Distance of the end effector from the rigid robot's at the same time."),
+        ("Spectra of the residual vibration", "µm", 1e6, {each: f"spectrum {each}" for each in "xy"},
+         spectrum_caption("Position of the end effector after the end of the motion")),
+    ))
+]
 # fmt: on
-"""Heading of a plot → unit of its axes, factor from SI to that, and label → what is drawn, see `_values`."""
-
-POINTS, FEWEST = 4000, 40
-"""Number of points that the curves of one signal have together, and of one curve at least: they limit the size of the page."""
+"""The plots of several runs, see `_values`."""
 
 BEYOND = 1.5
 """Distance from their middle up to which a run that failed is drawn, relative to the range of the others."""
-
-DASHED = "5,3"
-"""Of curves that repeat a colour."""
-
 
 RANKS = {
     "residual_vibration_amplitude": "has the least residual vibration",
@@ -110,7 +109,7 @@ def comparison_page(runs: Sequence[ComparedRun], tables: Sequence[Table], plots:
     Args:
         runs: at least one; differences are relative to the first.
         tables: of metrics, loops, and what else there is.
-        plots: those of `signal_plots`, and others.
+        plots: those of `compared_plots`, and others.
     """
     verdict = [*_ranks(runs), f"{len(runs)} runs, each in its colour; differences are relative to {runs[0].name}."]
     title = " · ".join(run.name for run in runs)
@@ -207,45 +206,27 @@ def _cell(name: str, measured: Metric, first: Metric, run: int) -> str:
     return Figure.of(name, measured.value, run=run, error=measured.error, base=first.value if run else None)
 
 
-def signal_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
+def compared_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
     """Yield a plot for each group of signals that a run has, then the spectra."""
     # the end of the motion, if all runs that say so have the same
     ends = {run.duration for run in runs if run.duration is not None}
-    marks = [(ends.pop(), "end of motion")] if len(ends) == 1 else []
     dwells = [float(run.recording.time[-1]) - run.duration for run in runs if run.duration is not None]
-    window = min(dwells, default=np.inf) or np.inf
-    for number, (title, (unit, factor, names)) in enumerate(SIGNALS.items()):
-        panels, caption, x_label = list[Panel](), "Of all runs that have it.", "time [s]"
-        for name, of in names.items():
-            curves, label = _curves(runs, of, factor), f"{name}\n[{unit}]"
-            panel = Panel(label, curves, from_zero=of == "deviation", marks=() if panels else marks)
-            if of.startswith("spectrum"):
-                panel, x_label = spectrum_panel(label, curves, window=window), "frequency [Hz]"
-                caption = spectrum_caption("Position of the end effector after the end of the motion")
-            elif of == "deviation":
-                caption = "Distance of the end effector from the rigid robot's at the same time."
-            panels += [panel] if panel.curves else []
-        if panels:
-            height = 90.0 + 100.0 * len(panels)
-            most = min(max(POINTS // len(runs), FEWEST), MOST_POINTS)
-            yield Plot(f"compared-{number}", title, caption, tuple(panels), x_label, height, most)
+    end, window = ends.pop() if len(ends) == 1 else np.nan, min(dwells, default=np.inf) or np.inf
+    return signal_plots(SIGNALS, [run.name for run in runs], lambda of: _near(runs, of), end, window)
 
 
-def _curves(runs: Sequence[ComparedRun], of: str, factor: float) -> list[Curve]:
-    """Return what all runs that have it are drawn by; of one that failed what is near the others."""
-    found, curves = [_values(run, of) for run in runs], list[Curve]()
+def _near(runs: Sequence[ComparedRun], of: str) -> Sequence[tuple[RealArray, RealArray] | None]:
+    """Return what a curve of each run shows; of one that failed what is near the others."""
+    found = [_values(run, of) for run in runs]
     known = [each[1] for each, run in zip(found, runs, strict=True) if each and each[1].size and not run.failure]
-    low, high = (float(pick([float(pick(each)) for each in known] or [0.0])) for pick in (np.nanmin, np.nanmax))
+    if not known or of.startswith("spectrum"):
+        return found
+    low, high = (float(pick([float(pick(each)) for each in known])) for pick in (np.nanmin, np.nanmax))
     for number, (run, each) in enumerate(zip(runs, found, strict=True)):
-        if each is None:
-            continue
-        x, y = each
-        if run.failure and known and not of.startswith("spectrum"):
-            y = np.where(abs(y - 0.5 * (low + high)) <= BEYOND * (high - low), y, np.nan)
-        dashes, source = DASHED if number >= len(PALETTE) else "", {"of": of, "factor": factor, "run": number}
-        colour = PALETTE[number % len(PALETTE)]
-        curves.append(Curve(x, factor * y, run.name, colour, dashes=dashes, source=source))
-    return curves
+        if each and run.failure:
+            is_near = abs(each[1] - 0.5 * (low + high)) <= BEYOND * (high - low)
+            found[number] = each[0], np.where(is_near, each[1], np.nan)
+    return found
 
 
 def _values(run: ComparedRun, of: str) -> tuple[RealArray, RealArray] | None:

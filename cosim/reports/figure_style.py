@@ -138,7 +138,7 @@ def draw_panel(axes: Axes, panel: chart.Panel, x_label: str = "") -> None:
     """Draw a panel of a page on axes."""
     for curve in (each for each in panel.curves if each.x.size):
         colour = COLOURS.get(curve.colour, curve.colour)
-        dashes = (0.0, [float(each) for each in curve.dashes.split(",")]) if curve.dashes else "-"
+        dashes = (0.0, curve.dashes) if curve.dashes else "-"
         sign, size = {"": ("", 0.0), "disc": ("o", 4.5), "cross": ("x", 6.0)}[curve.dot]
         axes.plot(
             curve.x, curve.y, color=colour, linewidth=curve.width, linestyle=dashes if curve.width else "none",
@@ -177,8 +177,8 @@ def draw_panel(axes: Axes, panel: chart.Panel, x_label: str = "") -> None:
         axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 1.5, 3, 4.5, 9, 10]))
     if panel.limits is not None:
         axes.set_xlim(panel.limits)
-    if panel.from_zero or panel.least is not None:
-        axes.set_ylim(bottom=0.0 if panel.least is None else max(panel.least, axes.get_ylim()[0]))
+    if panel.least is not None:
+        axes.set_ylim(bottom=panel.least)
     if panel.is_to_scale:
         axes.set_aspect("equal")
     axes.set(xlabel=x_label, ylabel=panel.label)

@@ -91,7 +91,7 @@ class ModesAlongPath(Rows, list[ModalPose]):
             for k, (each, colour) in enumerate(zip(shown.T, PALETTE, strict=False), start=1)
         ]
         scale = scale_of(shown)
-        panel = Panel("natural frequency [Hz]", curves, from_zero=not scale, logarithmic=scale)
+        panel = Panel("natural frequency [Hz]", curves, least=None if scale else 0.0, logarithmic=scale)
         title = f"{self.name}: natural frequencies, motors locked"
         return figure_of([Plot("modes", title, "", (panel,), "share of the path")])
 

@@ -5,21 +5,30 @@ All commands' pages have one frame, `Page`.
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
+from html import escape
 from importlib.resources import files
 from typing import Any, Self
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from flexfmu.cosim.metrics.metric_table import definition, display
-from flexfmu.cosim.reports.chart import MOST_POINTS, Panel, draw_chart
+from flexfmu.cosim.reports.chart import MOST_POINTS, Panel
 
 WIDTH, HEIGHT = 374.4, 194.4
 """Usual size of plots [pt]."""
 
+PIXELS, LEAST_HEIGHT = 1.25, 110
+"""Pixels of a point, and least height of a panel [px]."""
+
+POINTS, FEWEST, LIVE_POINTS = 60_000, 40, 300
+"""Number of points that a page's curves have together, and of one curve at least: they limit the size of the page. A curve of a page that
+simulates has fewer, for the page draws the curves of its own runs."""
 
 FIRST_METRICS = (
     "peak_torque_1",
@@ -108,7 +117,6 @@ class Plot:
         panels: pairs of axes below each other.
         x_label: label of the horizontal axis.
         height: of the plot [pt].
-        points: largest number of points of a curve.
     """
 
     key: str
@@ -117,12 +125,24 @@ class Plot:
     panels: tuple[Panel, ...]
     x_label: str = "time [s]"
     height: float = HEIGHT
-    points: int = MOST_POINTS
 
-    @property
-    def html(self) -> str:
-        """The plot as an element of a page."""
-        return draw_chart(self.key, self.title, (WIDTH, self.height), self.x_label, self.panels, self.points)
+    def html(self, points: int) -> str:
+        """The plot as an element of a page, with at most so many points of a curve: what its script draws, as JSON."""
+        height = round(max(LEAST_HEIGHT, PIXELS * self.height / len(self.panels)))
+        panels = [each.thinned(points) for each in self.panels]
+        data = {"key": self.key, "x": self.x_label, "height": height, "panels": panels}
+        text = json.dumps(data, ensure_ascii=False, separators=(",", ":"), default=as_data).replace("<", "\\u003c")
+        plain = "".join(each.plain(self.x_label) for each in self.panels)
+        return (
+            f'<div class="chart" role="group" aria-label="{escape(self.title)}"><script type="application/json">{text}</script>'
+            f"<noscript>{plain}</noscript></div>"
+        )
+
+
+def as_data(each: Any) -> Any:
+    """What JSON has of panels, curves and markers; arrays are base64 of little-endian 32-bit numbers, whose 24 significant bits are enough
+    for zooming and reading."""
+    return base64.b64encode(each.astype("<f4").tobytes()).decode() if isinstance(each, np.ndarray) else vars(each)
 
 
 @dataclass(frozen=True)
@@ -200,19 +220,16 @@ class Page:
         return [self.verdict] if isinstance(self.verdict, str) else self.verdict
 
     @property
+    def points(self) -> int:
+        """Largest number of points of a curve."""
+        plots = *self.first, *self.answers[2], *self.plots
+        curves = sum(len(panel.curves) for plot in plots for panel in plot.panels)
+        return LIVE_POINTS if self.live.packed else min(max(POINTS // max(curves, 1), FEWEST), MOST_POINTS)
+
+    @property
     def html(self) -> str:
         """The page."""
         return render("page.html.j2", page=self)
-
-
-FEW_POINTS = 300
-"""Points of a curve in a page that simulates, which draws its curves from its own runs."""
-
-
-def with_few_points(page: Page) -> Page:
-    """The page with curves of `FEW_POINTS`."""
-    first, plots = ([replace(each, points=FEW_POINTS) for each in some] for some in (page.first, page.plots))
-    return replace(page, first=first, plots=plots)
 
 
 def render(template: str, **values: Any) -> str:

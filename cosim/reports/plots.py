@@ -10,7 +10,7 @@ effector, the end effector being the recorded one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import floor, log10
 from typing import Any
@@ -33,8 +33,8 @@ from flexfmu.cosim.metrics.signals import (
     sample,
     segments,
 )
-from flexfmu.cosim.reports.chart import DASHES, FIRST, GREY, INK, SECOND, Curve, Marker, Panel, packed
-from flexfmu.cosim.reports.page import HEIGHT, WIDTH, Plot
+from flexfmu.cosim.reports.chart import DASHES, FIRST, GREY, INK, SECOND, Curve, Marker, Panel, look
+from flexfmu.cosim.reports.page import Plot
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 from flexfmu.cosim.reports.work_precision import tried_settings
 from flexfmu.model.beams import Shape, scene_shapes, tip_force_bending
@@ -82,9 +82,8 @@ def robot_motion(plan: MotionPlan, recording: Recording, scene: Scene) -> dict[s
     grid = np.linspace(recording.time[_shown(recording)][0], recording.time[-1], FRAMES)
     index = np.minimum(recording.time.searchsorted(grid), recording.time.size - 1)
     index = index[np.diff(index, prepend=-1) > 0]
-    time, mechanism, shapes = recording.time[index], scene.mechanism, scene_shapes(scene)
-    rigid = plan.task.evaluate(np.minimum(time, plan.duration), 0)[0]
-    deviation = np.stack([recording[name].values[index] for name in POSITION], axis=1) - rigid
+    time, rigid, deviation = _deviation(plan, recording, index)
+    mechanism, shapes = scene.mechanism, scene_shapes(scene)
     rows, legs = [time, *rigid.T, *deviation.T], list[dict[str, Any]]()
     angles = np.array([motor_angles(mechanism, (x, y)) for x, y in rigid.tolist()]).T
     for leg, (base, rigid_angle, elbow) in enumerate(
@@ -111,9 +110,15 @@ def robot_motion(plan: MotionPlan, recording: Recording, scene: Scene) -> dict[s
         "magnification": magnification(deviation, mechanism.proximal.length),
         "slower": max(1.0, round(DURATION / float(time[-1] - time[0]), 1)),
         "longest": LONGEST,
-        "rows": len(rows),
-        "points": packed(*rows),
+        "rows": rows,
     }
+
+
+def _deviation(plan: MotionPlan, recording: Recording, index: Any) -> tuple[RealArray, RealArray, RealArray]:
+    """Return instants (N,) [s] of a recording, the rigid robot's end effector then (N, 2) [m], and its deviation from that."""
+    time = recording.time[index]
+    rigid = plan.task.evaluate(np.minimum(time, plan.duration), 0)[0]
+    return time, rigid, np.stack([recording[name].values[index] for name in POSITION], axis=1) - rigid
 
 
 def magnification(deviation: RealArray, length: float) -> float:
@@ -128,10 +133,7 @@ def magnification(deviation: RealArray, length: float) -> float:
 
 def path_panel(run: Run, magnification: float) -> Panel:
     """Return the end effector's path in the last `LONGEST` seconds beside the rigid robot's, its deviation magnified [m]."""
-    recording, shown = run.recording, _shown(run.recording)
-    time = recording.time[shown]
-    rigid = run.plan.task.evaluate(np.minimum(time, run.plan.duration), 0)[0]
-    deviation = np.stack([recording[name].values[shown] for name in POSITION], axis=1) - rigid
+    time, rigid, deviation = _deviation(run.plan, run.recording, _shown(run.recording))
     x, y = (rigid + magnification * deviation).T
     more = {
         "time [s]": time,
@@ -197,40 +199,48 @@ def scene_panel(plan: MotionPlan, robot: Mapping[str, Any]) -> Panel:
 POINTS = 3000
 """Approximate number of points of a curve, as many as a plot of this size resolves."""
 
-BESIDE, BESIDES, LEGEND = 58.0, 42.0, 22.0
-"""Space beside and above or below the panel of a plot to scale, and for a legend, about [pt]."""
+STRIP = 0.4
+"""Height of a panel relative to its width below which it isn't to scale, also the other way round."""
 
-STRIP, USUAL_SHAPE = 0.4, 0.55
-"""Height of a panel relative to its width below which it isn't to scale, also the other way round, and what it has then."""
+DISTANCES = ("deviation", "acceleration", "vibration")
+"""Signals that are never negative."""
+
+FRAME, EACH = 90.0, 100.0
+"""Height of what is around the panels of a plot of signals, and of each [pt]."""
 
 COLOURS = (FIRST, SECOND)
-"""Of the curves of joints and links 1 and 2."""
+"""Of the curves of joints 1 and 2."""
 
 
 def _both(pattern: str, of: str = "joint") -> dict[str, str]:
     return {pattern.replace("#", number): f"{of} {number}" for number in "12"}
 
 
+Shown = tuple[str, str, str, float, Mapping[str, Mapping[str, str]]]
+"""Key, title and caption of a plot, factor from the SI unit, and label of each panel → signals with their names."""
+
 # fmt: off
-SIGNALS: Sequence[tuple[str, str, str, Mapping[str, tuple[float, Mapping[str, str]]]]] = (
-    ("references", "Joint references", "What drives the robot.",
-     {f"{kind}\n[{unit}]": (1.0, _both(f"joint#.reference.{kind}"))
+SIGNALS: Sequence[Shown] = (
+    ("references", "Joint references", "What drives the robot.", 1.0,
+     {f"{kind}\n[{unit}]": _both(f"joint#.reference.{kind}")
       for kind, unit in (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s²"))}),
-    ("torques", "Motor torques", "Positive counter-clockwise.", {"torque [N·m]": (1.0, _both("joint#.torque"))}),
-    ("tracking", "Tracking error", "Angle minus planned angle of each motor.",
-     {"error [mrad]": (1e3, _both("joint#.error"))}),
-    ("deflections", "Tip deflections", "Transverse displacement of the proximal links' tips.",
-     {"deflection [mm]": (1e3, _both("link#1.tip_deflection", "link"))}),
-    ("position", "Position error", "Distance of the end effector from the rigid robot's, which tracks its path exactly.",
-     {"error [mm]": (1e3, {"deviation": ""})}),
-    ("acceleration", "Acceleration error", "Norm of the deviation from the rigid robot's acceleration.",
-     {"error [m/s²]": (1.0, {"acceleration": ""})}),
+    ("torques", "Motor torques", "Positive counter-clockwise.", 1.0, {"torque [N·m]": _both("joint#.torque")}),
+    ("tracking", "Tracking error", "Angle minus planned angle of each motor.", 1e3, {"error [mrad]": _both("joint#.error")}),
+    ("deflections", "Tip deflections", "Transverse displacement of the proximal links' tips.", 1e3,
+     {"deflection [mm]": _both("link#1.tip_deflection", "link")}),
+    ("position", "Position error", "Distance of the end effector from the rigid robot's, which tracks its path exactly.", 1e3,
+     {"error [mm]": {"deviation": ""}}),
+    ("acceleration", "Acceleration error", "Norm of the deviation from the rigid robot's acceleration.", 1.0,
+     {"error [m/s²]": {"acceleration": ""}}),
     ("dwell", "Residual vibration",
-     "Distance from the static equilibrium at the end pose during the dwell, and the settling band.",
-     {"distance [µm]": (1e6, {"vibration": ""})}),
+     "Distance from the static equilibrium at the end pose during the dwell, and the settling band.", 1e6,
+     {"distance [µm]": {"vibration": ""}}),
+    ("spectrum", "Spectrum of the residual vibration",
+     spectrum_caption("Deviation of the end effector from the static equilibrium over the dwell"), 1e6,
+     {"amplitude [µm]": {"spectrum x": "x", "spectrum y": "y"}}),
 )
 # fmt: on
-"""Key, title and caption of a plot, and its panels: label → factor, and signals, see `signal_values`, with their names."""
+"""The plots of a run, see `signal_values`."""
 
 
 def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
@@ -251,46 +261,66 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
     last = f" in the last {LONGEST:g} s" if np.ptp(run.recording.time) > LONGEST else ""
     caption = f"Path of the end effector{last}; its deviation from the rigid robot × {robot['magnification']:g}."
     yield to_scale("path", "Path", caption, path_panel(run, robot["magnification"]))
-    for key, title, caption, rows in SIGNALS:
-        panels = list[Panel]()
-        for label, (factor, names) in rows.items():
-            found = {of: signal_values(run, of, end_equilibrium) for of in names}
-            curves = [
-                Curve(each[0], factor * each[1], names[of], colour, source={"of": of, "factor": factor})
-                for (of, each), colour in zip(found.items(), COLOURS, strict=False)
-                if each is not None
-            ]
-            # the end of the motion in the last panel alone
-            panels = [replace(each, marks=()) for each in panels]
-            if curves:
-                panels.append(Panel(label, curves, from_zero=len(names) == 1, marks=_marks(curves[0].x, run)))
-        if key == "dwell" and panels:
-            band, limits = run.scene.cosimulation.settling_band, (run.plan.duration, float(run.recording.time[-1]))
-            panels = [replace(panels[0], level=1e6 * band, limits=limits)]
-        if panels:
-            yield Plot(key, title, caption, tuple(panels), height=HEIGHT if len(panels) == 1 else 2.0 * HEIGHT)
-        if key == "torques":
-            yield from motor_plots(run)
-        if key == "dwell" and panels:
-            yield from _spectrum_plot(run, end_equilibrium)
-
-
-def _spectrum_plot(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
-    """Yield spectra of both components of the residual vibration, with the natural frequencies; nothing where it is too short."""
-    curves = list[Curve]()
-    for axis, name in enumerate("xy"):
-        time, values = signal_values(run, f"vibration {name}", end_equilibrium) or (np.zeros(0), np.zeros(0))
-        if (found := spectrum(time, values, run.plan.duration)) is not None:
-            source = {"of": f"spectrum {name}", "factor": 1e6}
-            curves.append(Curve(found[0], 1e6 * found[1], name, COLOURS[axis], source=source))
+    end, stop = run.plan.duration, float(run.recording.time[-1])
     frequencies = [] if run.rests is None else run.rests.frequencies(run.parameters).tolist()
-    marks = [(frequency, f"{number}") for number, frequency in enumerate(frequencies, start=1)]
-    window = float(run.recording.time[-1]) - run.plan.duration
-    panel = spectrum_panel("amplitude [µm]", curves, marks, window)
-    caption = spectrum_caption("Deviation of the end effector from the static equilibrium over the dwell")
-    caption += " Dashed: natural frequencies, motors locked." if panel.marks else ""
-    if panel.curves:
-        yield Plot("spectrum", "Spectrum of the residual vibration", caption, (panel,), "frequency [Hz]")
+    found = signal_plots(
+        SIGNALS, [""], lambda of: [signal_values(run, of, end_equilibrium)], end, stop - end, frequencies
+    )
+    for plot in found:
+        if plot.key == "dwell":
+            band = 1e6 * run.scene.cosimulation.settling_band
+            plot = replace(plot, panels=(replace(plot.panels[0], level=band, limits=(end, stop)),))
+        elif plot.key == "spectrum" and plot.panels[0].marks:
+            plot = replace(plot, caption=f"{plot.caption} Dashed: natural frequencies, motors locked.")
+        yield plot
+        if plot.key == "torques":
+            yield from motor_plots(run)
+
+
+def signal_plots(
+    groups: Sequence[Shown],
+    runs: Sequence[str],
+    values_of: Callable[[str], Sequence[tuple[RealArray, RealArray] | None]],
+    end: float,
+    window: float,
+    frequencies: Sequence[float] = (),
+) -> Iterator[Plot]:
+    """Yield a plot for each group of signals of which one is there, or of their spectra.
+
+    Args:
+        groups: what there may be.
+        runs: their names; of one without a name the curves have the names of signals.
+        values_of: signal → of each run times and values, frequencies and amplitudes, or None.
+        end: of the motion [s], which the first panel marks; NaN for none.
+        window: time after it [s].
+        frequencies: natural ones [Hz], which spectra mark.
+    """
+    natural = [(frequency, f"{number}") for number, frequency in enumerate(frequencies, start=1)]
+    for key, title, caption, factor, rows in groups:
+        panels, x_label = list[Panel](), "time [s]"
+        for label, signals in rows.items():
+            curves = [
+                Curve(
+                    x,
+                    factor * y,
+                    run or name,
+                    source={"of": of, "factor": factor, "run": k},
+                    **look(k if run else place),
+                )
+                for place, (of, name) in enumerate(signals.items())
+                for k, (run, found) in enumerate(zip(runs, values_of(of), strict=True))
+                if found is not None
+                for x, y in [found]
+            ]
+            if all(of.startswith("spectrum") for of in signals):
+                x_label, panel = "frequency [Hz]", spectrum_panel(label, curves, natural, window)
+            else:
+                is_passed = not panels and any(each.x[0] < end < each.x[-1] for each in curves)
+                least = None if signals.keys().isdisjoint(DISTANCES) else 0.0
+                panel = Panel(label, curves, least=least, marks=[(end, "end of motion")] if is_passed else ())
+            panels += [panel] if panel.curves else []
+        if panels:
+            yield Plot(key, title, caption, tuple(panels), x_label, FRAME + EACH * len(panels))
 
 
 def signal_values(run: Run, of: str, end_equilibrium: RealArray | None) -> tuple[RealArray, RealArray] | None:
@@ -299,13 +329,17 @@ def signal_values(run: Run, of: str, end_equilibrium: RealArray | None) -> tuple
     Args:
         run: the run.
         of: a recorded signal, or as ``Result.curve`` of simulation.js has it: the error of a joint; the deviation of the end effector
-            from the rigid robot's or that of its acceleration, and its vibration about the equilibrium, of which an axis may follow.
+            from the rigid robot's or that of its acceleration, and its vibration about the equilibrium, of which an axis may follow, or
+            the spectrum of that.
         end_equilibrium: as for `draw_plots`.
 
     Returns:
         None where it wasn't recorded.
     """
     recording, plan, order = run.recording, run.plan, 0
+    if of.startswith("spectrum"):
+        known = signal_values(run, of.replace("spectrum", "vibration"), end_equilibrium)
+        return None if known is None else spectrum(*known, plan.duration)
     if of.endswith(".error"):
         joint = int(of[len("joint")]) - 1
         if JOINT_POSITIONS[joint] not in recording.columns:
@@ -341,23 +375,12 @@ def scene_plot(plan: MotionPlan, robot: Mapping[str, Any] | None = None) -> Plot
 
 
 def to_scale(key: str, title: str, caption: str, panel: Panel) -> Plot:
-    """Return a plot of a panel to scale [m], as high as that is; of one that would be a strip, with axes of their own scales."""
+    """Return a plot of a panel to scale [m]; of one that would be a strip, with axes of their own scales."""
     along = (np.concatenate([getattr(curve, axis) for curve in panel.curves]) for axis in "xy")
     x, y = (float(np.nanmax(each) - np.nanmin(each)) for each in along)
-    beside, shape = BESIDES + LEGEND * any(curve.label for curve in panel.curves), y / x
-    if not STRIP <= shape <= 1.0 / STRIP:
-        panel, caption, shape = (
-            replace(panel, is_to_scale=False),
-            f"{caption} x and y have different scales.",
-            USUAL_SHAPE,
-        )
-    return Plot(key, title, caption, (panel,), "x [m]", beside + (WIDTH - BESIDE) * shape)
-
-
-def _marks(time: RealArray, run: Run) -> list[tuple[float, str]]:
-    """Return the mark at the end of the motion, if it lies between the times (N,) [s]."""
-    end = run.plan.duration
-    return [(end, "end of motion")] if time[0] < end < time[-1] else []
+    if not STRIP * x <= y <= x / STRIP:
+        panel, caption = replace(panel, is_to_scale=False), f"{caption} x and y have different scales."
+    return Plot(key, title, caption, (panel,), "x [m]")
 
 
 def motor_plots(run: Run) -> Iterator[Plot]:
@@ -372,7 +395,7 @@ def motor_plots(run: Run) -> Iterator[Plot]:
         limits = [
             Curve(motor.maximum_speed * corners[0], torque * corners[1], name, GREY, dashes=dashes, is_read=False)
             for torque, name, dashes in (
-                (motor.peak_torque, "peak torque, speed", ""),
+                (motor.peak_torque, "peak torque, speed", ()),
                 (motor.continuous_torque, "continuous torque", DASHES),
             )
         ]

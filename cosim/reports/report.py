@@ -12,7 +12,7 @@ import numpy as np
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, display_error
-from flexfmu.cosim.reports.page import FIRST_METRICS, RECORDED, Figure, Live, Page, Plot, Table, with_few_points
+from flexfmu.cosim.reports.page import FIRST_METRICS, RECORDED, Figure, Live, Page, Plot, Table
 from flexfmu.cosim.reports.plots import robot_motion, scene_plot
 from flexfmu.cosim.reports.summary import describe_effects, instability, motor_rows, stress_rows, title_of
 from flexfmu.cosim.reports.work_precision import ACCURACY
@@ -47,7 +47,7 @@ def report_page(summary: Mapping[str, Any], plots: Iterable[Plot], live: Live = 
     drawn = list(plots)
     completed, accuracy = summary["health"]["outcome"] == "completed", summary.get("accuracy", {}).get("text", ())
     others = [plot for plot in drawn if not plot.key.startswith((ACCURACY, *FIRST_PLOTS))]
-    page = Page(
+    return Page(
         title_of(summary),
         [*_verdict(summary, drawn)],
         others,
@@ -60,7 +60,6 @@ def report_page(summary: Mapping[str, Any], plots: Iterable[Plot], live: Live = 
         folded=list(_tables(summary)),
         live=live,
     )
-    return with_few_points(page) if live.packed else page
 
 
 def of_scene(scene: Scene, run: Run | None = None) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.accuracy import AccuracyAnswer, WorkCurve, WorkPrecisionTrial
 from flexfmu.cosim.metrics.metric_table import definition
-from flexfmu.cosim.reports.chart import INK, PALETTE, Curve, Marker, Panel
+from flexfmu.cosim.reports.chart import INK, Curve, Marker, Panel, look
 from flexfmu.cosim.reports.page import Plot
 
 HEIGHT = 320.0
@@ -71,18 +71,17 @@ def diagram(
     x, y = np.array([(each.x, each.y) for each in markers]).reshape(-1, 2).T
     curves = [Curve(x, y, width=0.0, is_read=False)]
     for number, (line, trials) in enumerate(lines.items()):
-        colour, dashes = PALETTE[number % len(PALETTE)], "5,3" if number >= len(PALETTE) else ""
-        colour = INK if line == FRONT else colour
+        shown = look(number) | ({"colour": INK} if line == FRONT else {})
         good, failed = ([each for each in trials if each.failed is wanted] for wanted in (False, True))
         place = points(good)
         notes = [f"{each.label}: {duration / (each.time or 1.0):.3g} times real time. {each.note}" for each in good]
         width = 0.0 if any(each.size for each in markers) and line != FRONT else 1.4
-        curves.append(Curve(place[:, 0], place[:, 1], line, colour, width, dot="disc", notes=notes, dashes=dashes))
+        curves.append(Curve(place[:, 0], place[:, 1], line, width=width, dot="disc", notes=notes, **shown))
         # what failed, at real time and an error of 1
         if failed:
             ones, notes = np.ones(len(failed)), [f"{each.label} failed: {each.note}" for each in failed]
             times = 1e3 * duration * ones
-            curves.append(Curve(ones, times, f"{line}, failed", colour, width=0.0, dot="cross", notes=notes))
+            curves.append(Curve(ones, times, f"{line}, failed", shown["colour"], width=0.0, dot="cross", notes=notes))
     title, caption, x_label = texts
     panel = Panel(label="time [ms]", curves=curves, markers=markers, logarithmic="xy", is_function=False, marks=marks)
     return Plot(key, title, caption, (panel,), x_label, HEIGHT)

@@ -16,7 +16,7 @@ from flexfmu.cosim.engine.files import to_json, write_whole
 from flexfmu.cosim.engine.showing import Rows, csv_text, few_lines, html_table, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.parameters import scene_values
-from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE, Curve, Panel
+from flexfmu.cosim.reports.chart import INK, PALETTE, Curve, Panel
 from flexfmu.cosim.reports.page import Page, Plot, Table
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 from flexfmu.errors import read_text
@@ -454,7 +454,6 @@ def fitted_plots(
     unit: str,
     groups: Mapping[str, Sequence[Line]],
     ringing: str,
-    most: int = MOST_POINTS // 2,
     x_label: str = "time [s]",
 ) -> Iterator[Plot]:
     """Yield the plot of a measured signal beside simulated ones, and of their differences, and over time the spectra of either.
@@ -464,15 +463,14 @@ def fitted_plots(
         unit: of all values, as it is shown.
         groups: what each panel shows → its lines.
         ringing: the group of which spectra are shown; none of lines that are too short.
-        most: largest number of points of a line.
         x_label: of the horizontal axis.
     """
     panels = [Panel(f"{what}\n[{unit}]", [Curve(*line) for line in lines]) for what, lines in groups.items()]
-    yield Plot(key, title, caption, tuple(panels), x_label, 260.0, most)
+    yield Plot(key, title, caption, tuple(panels), x_label, 260.0)
     found = [(spectrum(x, y, float(x[0])), *look) for x, y, *look in groups[ringing] if x_label.startswith("time")]
     if spectra := [Curve(*each, *look) for each, *look in found if each is not None]:
         panel, text = spectrum_panel(f"{ringing}\n[{unit}]", spectra), spectrum_caption(f"Amplitudes of {ringing}")
-        yield Plot(f"{key}-spectrum", f"Spectrum of {title}", text, (panel,), "frequency [Hz]", points=most)
+        yield Plot(f"{key}-spectrum", f"Spectrum of {title}", text, (panel,), "frequency [Hz]")
 
 
 def identified_robots(

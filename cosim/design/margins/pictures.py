@@ -146,7 +146,7 @@ def margin_plots(poses: Sequence[PoseMargins]) -> tuple[Plot, Plot]:
     caption = f"In colour the loop with the smallest disk margin, {curves[0].label}; grey: other places and cuts."
     bode, nyquist = _bode(curves[0], drawn), _nyquist(curves[0], drawn)
     return (
-        Plot("bode", "Bode diagram of the open loops", caption, bode, "frequency [Hz]", 330.0, 400),
+        Plot("bode", "Bode diagram of the open loops", caption, bode, "frequency [Hz]", 330.0),
         Plot("nyquist", "Nyquist diagram about −1", caption, (nyquist,), "real part", 330.0),
     )
 

@@ -29,8 +29,8 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import PLAN_FIGURES, definition
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.metrics.signals import POSITION
-from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, Curve, Marker, Panel, scale_of
-from flexfmu.cosim.reports.comparison import ComparedRun, first_tiles, metrics_table, signal_plots
+from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, REPEATED, Curve, Marker, Panel, scale_of
+from flexfmu.cosim.reports.comparison import ComparedRun, compared_plots, first_tiles, metrics_table
 from flexfmu.cosim.reports.page import Page, Plot, Table
 from flexfmu.cosim.reports.plots import to_scale
 from flexfmu.cosim.reports.report import of_scene
@@ -51,7 +51,7 @@ FILE = "planned.toml"
 NAMES, COLOURS = ("given", "planned"), (PALETTE[0], PALETTE[1])
 """Of the two motions."""
 
-DASHED, DOTTED = "5,3", "2,2"
+DOTTED = (2.0, 2.0)
 """Lines of second joints, and of the keep-out region."""
 
 BORDER, DENSE, LONG = 0.2, 0.02, 2.0
@@ -490,7 +490,7 @@ def plan_page(result: PlanResult) -> str:
     lead += " Stopped before the end: this is the best motion so far." if result.interrupted else ""
     title, frame = f"{result.goals.scene.name}: planned motion", of_scene(runs[-1].scene, runs[-1])
     tables.append(metrics_table(compared))
-    return Page(title, lead, [*plots, *signal_plots(compared)], tables, first_tiles(compared), **frame).html
+    return Page(title, lead, [*plots, *compared_plots(compared)], tables, first_tiles(compared), **frame).html
 
 
 def summary_table(result: PlanResult) -> Table:
@@ -619,7 +619,7 @@ def _references_plot(result: PlanResult, runs: Sequence[Run], way: str = "") -> 
             joints = run.plan.joints
             instants = np.linspace(0.0, joints.duration, INSTANTS)
             values = joints.evaluate(instants, order, "left")[order]
-            for joint, dashes in enumerate(("", DASHED)):
+            for joint, dashes in enumerate(((), REPEATED)):
                 label = f"{motion} {joint + 1}"
                 curves.append(Curve(instants, values[:, joint], label, colour, dashes=dashes))
         usual = np.array(result.given.worst(name))

@@ -23,7 +23,10 @@ POINTS = 500
 SHOWN = np.array([0.1, 150.0])
 """Residual vibrations between which closed-form curves are drawn [% of an unshaped impulse]."""
 
-LINES = {"joints": ("joints shaped", ""), "path": ("motion along path shaped", "3,2")}
+LINES: Mapping[str, tuple[str, tuple[float, ...]]] = {
+    "joints": ("joints shaped", ()),
+    "path": ("motion along path shaped", (3.0, 2.0)),
+}
 """Application of a shaper → its name, and dashes of lines."""
 
 THICK, THIN = 2.6, 1.1
@@ -74,7 +77,7 @@ def _simulated(study: ShaperStudy, colours: Mapping[str, str]) -> Plot:
         Curve(np.array([np.nan]), np.array([np.nan]), text, GREY, dashes=dashes) for text, dashes in LINES.values()
     ]
     for result in study.results:
-        name, (_, dashes) = result.candidate.name, LINES.get(result.candidate.application, ("", ""))
+        name, (_, dashes) = result.candidate.name, LINES.get(result.candidate.application, ("", ()))
         errors = np.array([100.0 * trial.payload_error for trial in result.trials])
         residuals = np.array([1e6 * max(trial.residual, 1e-12) for trial in result.trials])
         width = THICK if result is study.recommendation.result or name == UNSHAPED_NAME else THIN

@@ -31,15 +31,11 @@ const page = (() => {
     return [low - margin * (high - low), high + margin * (high - low)];
   };
 
-  const curveOf = (given) => {
-    const all = given.xy ? numbers(given.xy) : new Float32Array(0), more = given.more || [], size = all.length / (2 + more.length);
-    const channel = (i) => all.subarray(i * size, (i + 1) * size);
-    return { ...given, more, x: channel(0), y: channel(1), extra: more.map((_, i) => channel(2 + i)), notes: given.notes || [] };
-  };
+  const curveOf = ({ x, y, more, ...given }) => ({ ...given, x: numbers(x), y: numbers(y), more: Object.keys(more), extra: Object.values(more).map(numbers) });
 
   class Panel {
-    constructor(chart, given, number) {
-      Object.assign(this, { chart, ...given, number, isLast: number === chart.count - 1, curves: given.curves.map((each) => ({ ...curveOf(each), unit: unitOf(given.label) })) });
+    constructor(chart, { limits: xLimits, ...given }, number) {
+      Object.assign(this, { chart, ...given, xLimits, number, isLast: number === chart.count - 1, curves: given.curves.map((each) => ({ ...curveOf(each), unit: unitOf(given.label) })) });
       this.log = { x: given.logarithmic.includes("x"), y: given.logarithmic.includes("y") };
       if (given.motion) this.motion = new Motion(this, given.motion);
     }
@@ -56,10 +52,8 @@ const page = (() => {
       if (this.motion) this.motion.extent(axis).forEach(take);
       if (axis === "x" && this.xLimits) return this.xLimits;
       if (axis === "y" && this.level !== null && !between) take(this.level);
-      if (axis === "y" && this.least !== null) low = Math.max(low, this.least);
       const found = range(low, high, this.motion && axis === "y" ? 0.1 : axis === "y" || !this.is_function ? 0.05 : 0.01, isLog);
-      if (axis === "y" && this.from_zero) found[0] = 0;
-      if (axis === "y" && this.least !== null) found[0] = Math.max(found[0], this.least);
+      if (axis === "y" && this.least !== null) found[0] = this.least;
       return found;
     }
     build(width) {
@@ -76,7 +70,7 @@ const page = (() => {
         const mantissa = (v) => +(v / 10 ** power(v)).toFixed(6), isShown = (v) => !this.log[axis] || decades < 1 || (mantissa(v) === 1 ? power(v) % every === 0 : every === 1 && decades < 3 && [2, 5].includes(mantissa(v)));
         return splits.map((v) => (v === null || !isShown(v) ? "" : short(v, this.digits(axis))));
       };
-      y.values = ticks("y", (toScale ? 200 : this.height) / 20);
+      y.values = ticks("y", (toScale ? 200 : chart.height) / 20);
       // logarithmic axes within a decade have the ticks of linear ones
       const splits = (_, place, low, high, step) => {
         if (high < 10 * low) return Array.from({ length: Math.floor(high / step) - Math.ceil(low / step) + 1 }, (_, n) => +((Math.ceil(low / step) + n) * step).toPrecision(12));
@@ -91,7 +85,7 @@ const page = (() => {
       x.space = () => Math.max(50, 8 * this.digits("x") + 10);
       this.whole = { x: chart.limits, y: this.limits("y") };
       // panels are equally high, and the last one has the axis below
-      const height = toScale ? this.scaled(width) : this.height + (this.isLast && this.number ? 40 : 0);
+      const height = toScale ? this.scaled(width) : chart.height + (this.isLast && this.number ? 40 : 0);
       const scale = (axis) => ({ time: false, auto: false, distr: this.log[axis] ? 3 : 1, range: () => this.shown[axis] });
       this.shown = { ...this.whole };
       this.plot?.destroy();
@@ -230,7 +224,7 @@ const page = (() => {
   class Chart {
     constructor(body) {
       const given = JSON.parse(body.querySelector("script").textContent);
-      Object.assign(this, { body, key: given.key, x: given.x, count: given.panels.length, overTime: given.x.startsWith("time"), figure: body.parentElement });
+      Object.assign(this, { body, key: given.key, x: given.x, height: given.height, count: given.panels.length, overTime: given.x.startsWith("time"), figure: body.parentElement });
       this.legend = html("div", { className: "legend" });
       body.prepend(this.legend);
       this.panels = given.panels.map((each, n) => new Panel(this, each, n));
@@ -339,8 +333,7 @@ const page = (() => {
       const power = Math.log10(this.magnification);
       [this.slider, this.shownTime] = slider("time", { min: 0, step: 1, value: 0 }, (k) => { this.stop(); page.at(this.time[k]); });
       [, this.shownTimes] = slider("deflection", { min: 0, max: Math.max(3, power + 1), step: 0.01, value: power }, (p) => { this.times = 10 ** p; this.fitted(); });
-      const all = numbers(this.points), size = all.length / this.rows;
-      this.take(Array.from({ length: this.rows }, (_, k) => all.subarray(k * size, (k + 1) * size)));
+      this.take(given.rows.map(numbers));
       this.tell();
     }
     // the rigid robot's elbow and angle of a leg, the end effector being at x, y

@@ -30,19 +30,16 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import Rows, few_lines, html_table, shown_unit
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition
-from flexfmu.cosim.reports.chart import INK, MOST_POINTS, PALETTE
+from flexfmu.cosim.reports.chart import INK, PALETTE
 from flexfmu.cosim.reports.comparison import (
     BAND_METRICS,
     ComparedRun,
+    compared_plots,
     comparison_page,
     loop_tables,
     metrics_table,
-    signal_plots,
 )
 from flexfmu.cosim.reports.page import Plot, Table
-
-POINTS, FEWEST = 12000, 40
-"""Number of points that all curves of measured signals have together, and of one curve at least: they limit the size of the page."""
 
 POORLY = 0.5
 """Correlation below which measurement and simulation hardly look alike."""
@@ -216,7 +213,7 @@ class Comparison(Rows):
     def plots(self) -> list[Plot]:
         """The plots of the page: signals of a measurement beside the simulated ones, then those of all runs and their spectra."""
         measured = [] if self.measured is None else _measured_plots(self.runs, self.measured)
-        return [*measured, *signal_plots(self.runs)]
+        return [*measured, *compared_plots(self.runs)]
 
 
 def compare_runs(
@@ -313,7 +310,6 @@ def _sampled(recording: Recording, name: str) -> TimedValues:
 
 def _measured_plots(runs: Sequence[ComparedRun], measured: Measured) -> Iterator[Plot]:
     """Yield measured and simulated values, and their difference, of each signal, and its spectra."""
-    most = min(max(POINTS // (4 * len(runs) * len(measured.recording.columns)), FEWEST), MOST_POINTS)
     text = f"{measured.name}, {delay_text(measured.delay)}, and simulated."
     for number, name in enumerate(measured.recording.columns):
         compared = [(run.name, measured.differences[run.name].get(name)) for run in runs]
@@ -325,4 +321,4 @@ def _measured_plots(runs: Sequence[ComparedRun], measured: Measured) -> Iterator
             lines += [(each.time, each.simulated, run, colour) for run, each, colour in coloured]
             differing = [(each.time, each.values, run, colour) for run, each, colour in coloured]
             unit, groups = shown_unit(measured.recording[name].unit), {name: lines, "difference": differing}
-            yield from fitted_plots(f"measured-{number}", name, text, unit, groups, name, most)
+            yield from fitted_plots(f"measured-{number}", name, text, unit, groups, name)

@@ -82,7 +82,9 @@ def blends() -> Figure:
         crossing = np.abs(offset @ np.array([-lift[1], lift[0]]))
         near = crossing <= SHOWN
         curves.append(Curve(crossing[near], (offset @ lift)[near], curve, colour))
-    curves.append(Curve(np.array([0.0, 0.0, SHOWN]), np.array([-25.0, 0.0, 0.0]), "sharp corner", GREY, dashes="1,2"))
+    curves.append(
+        Curve(np.array([0.0, 0.0, SHOWN]), np.array([-25.0, 0.0, 0.0]), "sharp corner", GREY, dashes=(1.0, 2.0))
+    )
     panel = Panel("along the lift [mm]", curves, is_to_scale=True, is_function=False)
     return figure_of([Plot("blends", "Blends with d = e = 25 mm", "", (panel,), "along the crossing [mm]", 330.0)])
 
@@ -258,7 +260,7 @@ def _errors(simulations: Mapping[PaperCase, SimulatedCase], curve: str, label: s
         Curve(each.time, MILLI * each.path_error, profile, colour, 1.2)
         for (profile, each), colour in zip(found.items(), PALETTE, strict=False)
     ]
-    return Panel(label, curves, from_zero=True, marks=[(found[POLYNOMIAL].duration, "end of motion")])
+    return Panel(label, curves, least=0.0, marks=[(found[POLYNOMIAL].duration, "end of motion")])
 
 
 def acceleration_spectrum(joints: Trajectory, joint: int) -> tuple[RealArray, RealArray]:

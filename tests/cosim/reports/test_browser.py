@@ -19,7 +19,6 @@ from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.accuracy import WorkPrecisionTrial
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
-from flexfmu.cosim.reports.chart import unpacked
 from flexfmu.cosim.reports.comparison import ComparedRun
 from flexfmu.cosim.reports.plots import draw_plots, robot_motion
 from flexfmu.cosim.reports.report import report_page
@@ -255,7 +254,7 @@ def test_the_legend_hides_a_curve(report: Any) -> None:
 def test_the_mechanism_moves(report: Any, run: Run) -> None:
     """The slider's instant and magnification: the end effector is at the rigid position plus the magnified deviation, within the axes."""
     figure, robot = chart_of(report, "Scene"), robot_motion(run.plan, run.recording, run.robot)
-    instants, x, y, dx, dy, *_ = unpacked(robot["points"], robot["rows"])
+    instants, x, y, dx, dy, *_ = np.asarray(robot["rows"], "<f4").astype(float)
     set_to = "(input, value) => { input.value = value; input.dispatchEvent(new Event('input')); }"
     place = """() => { const panel = page.charts[0].panels[0], { motion, shown } = panel, ends = [motion.extent('x'), motion.extent('y')];
       return [motion.at(motion.frame, motion.count - 1), ends, [shown.x, shown.y]]; }"""

@@ -19,8 +19,7 @@ from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.showing import SHOWN, Rows
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.reports.chart import unpacked
-from flexfmu.cosim.reports.comparison import ComparedRun, comparison_page, metrics_table, signal_plots
+from flexfmu.cosim.reports.comparison import ComparedRun, compared_plots, comparison_page, metrics_table
 from flexfmu.cosim.reports.figure_style import draw
 from flexfmu.cosim.reports.modes_table import ModalPose, ModesAlongPath
 from flexfmu.cosim.reports.page import Table
@@ -151,14 +150,14 @@ def test_curves_are_the_recordings() -> None:
     """The values that the page shows are recorded ones, to the 24 bits that it keeps."""
     runs = [compared("slow", 1.0), compared("<fast>", 1.25)]
     text = comparison_page(
-        runs, [metrics_table(runs), Table("More", ["", "a"], [["b", "7 %"]])], [*signal_plots(runs)]
+        runs, [metrics_table(runs), Table("More", ["", "a"], [["b", "7 %"]])], [*compared_plots(runs)]
     ).html
     first = re.search(r'<script type="application/json">(.*?)</script>', text)
     assert first is not None
-    found = {each["label"]: each["xy"] for each in json.loads(first[1])["panels"][0]["curves"]}
+    found = {each["label"]: [each["x"], each["y"]] for each in json.loads(first[1])["panels"][0]["curves"]}
     assert set(found) == {"slow", "<fast>"}
     for name, amplitude in (("slow", 1.0), ("<fast>", 1.25)):
-        x, y = unpacked(found[name], 2)
+        x, y = (np.frombuffer(b64decode(each), "<f4").astype(float) for each in found[name])
         np.testing.assert_allclose(y, 10.0 * amplitude * np.sin(2.0 * np.pi * 50.0 * x), atol=1e-3)
         assert np.isin(x.astype(np.float32), TIME.astype(np.float32)).all()
         assert y.max() == pytest.approx(10.0 * amplitude, rel=1e-6)

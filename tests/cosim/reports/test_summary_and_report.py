@@ -22,7 +22,6 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.small_deflections import exceeded
-from flexfmu.cosim.reports.chart import unpacked
 from flexfmu.cosim.reports.plots import LONGEST, draw_plots, magnification, path_panel, robot_motion, to_scale
 from flexfmu.cosim.reports.report import report_page
 from flexfmu.cosim.reports.summary import describe_effects, summarise
@@ -247,7 +246,7 @@ def test_of_a_long_run_the_end_is_shown(make_run: MakeRun) -> None:
     """Of many cycles, in instants that are close enough for a vibration."""
     run = make_run(changes={"trajectory.dwell": 3.0})
     robot, (rigid, _) = robot_motion(run.plan, run.recording, run.robot), path_panel(run, 1.0).curves
-    time = unpacked(robot["points"], robot["rows"])[0]
+    time = robot["rows"][0]
     assert time[0] == pytest.approx(3.43 - LONGEST, abs=2e-3)
     assert time[-1] == pytest.approx(3.43)
     assert np.diff(time).max() < 5e-3
