@@ -16,8 +16,8 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import shown_unit
 from flexfmu.cosim.experiment.accuracy import rounded_up
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, DRIVE_METRICS, definition, display, display_error
-from flexfmu.cosim.reports.summary import motor_rows, stress_rows, title_of
-from flexfmu.cosim.reports.terminal import titled_table
+from flexfmu.cosim.reports.summary import STRESS, motor_table, stress_table, title_of
+from flexfmu.cosim.reports.terminal import as_terminal_table, titled_table
 
 TEXT_WIDTH = 40
 """Characters of a text in the table of results."""
@@ -36,15 +36,8 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
         proven = {each["name"] for each in summary.get("accuracy", {}).get("figures", ())}
         parts += [_metrics_table(title_of(summary), shown, summary["errors"], proven), health["errors_from"]]
     motors, links = summary.get("motors", ()), summary.get("stresses", ())
-    if motors:
-        heads = (f"Motor {each['joint']}" + (f", {each['name']}" if each["name"] else "") for each in motors)
-        parts.append(titled_table("Motors", "At the shaft", numbers=heads))
-        for name, texts in motor_rows(motors).items():
-            parts[-1].add_row(name, *texts)
-    if links:
-        parts.append(titled_table("Stress", "Link", "Largest stress, place, time, change by the last mode"))
-        for name, text in stress_rows(links).items():
-            parts[-1].add_row(name, text)
+    tables = (motor_table(motors), stress_table(links))
+    parts += [as_terminal_table(table, texts=(STRESS,)) for table in tables if table.rows]
     # how the run went
     timing, statistics = summary["timing"], ", ".join(f"{count} {name}" for name, count in health["statistics"].items())
     parts.append(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -148,35 +148,40 @@ def _ranks(runs: Sequence[ComparedRun]) -> Iterator[str]:
             yield Figure.said(found, "least", of=name, names=names, **facts)
 
 
+def _rows(
+    names: Iterable[str],
+    found: Sequence[Mapping[str, Metric]],
+    cell: Callable[[str, int, Metric], str],
+    *,
+    has_unit: bool,
+) -> Iterator[list[str]]:
+    """Yield label, with its unit if the cells are without it, name and cells of each metric that one has, by its place and value."""
+    for name in names:
+        if any(name in each for each in found):
+            info = definition(name)
+            unit = f" [{info.display_unit}]" if has_unit and info.display_unit else ""
+            cells = (cell(name, place, each.get(name, Metric(None))) for place, each in enumerate(found))
+            yield [f"{info.label}{unit}", name, *cells]
+
+
 def loop_tables(runs: Sequence[ComparedRun]) -> Iterator[Table]:
     """Yield margins and processor times, the worst over a band of payloads, and what failed; each where a run has it."""
+    bands = {run.name: run.band for run in runs if run.band}
 
-    def row(name: str, cells: Iterable[str]) -> list[str]:
-        # words with the unit, name, and values without the unit
-        info = definition(name)
-        return [f"{info.label} [{info.display_unit}]" if info.display_unit else info.label, name, *cells]
+    def rounded(name: str, found: Metric, digits: int) -> str:
+        return "–" if found.value is None else f"{definition(name).displayed(found):.{digits}g}"
 
-    def rounded(found: Metric, digits: int) -> str:
-        return "–" if found.value is None else f"{definition(found.name).displayed(found):.{digits}g}"
+    def worst(name: str, place: int, found: Metric) -> str:
+        failures = [*bands.values()][place].failures
+        return "unstable" if found.value is None and failures else rounded(name, found, 5)
 
-    none = Metric(None)
-    if names := [name for name in LOOP_FIGURES if any(name in run.loop for run in runs)]:
-        rows = [row(name, (rounded(run.loop.get(name, none), 3) for run in runs)) for name in names]
+    rows = [
+        *_rows(LOOP_FIGURES, [run.loop for run in runs], lambda name, _, found: rounded(name, found, 3), has_unit=True)
+    ]
+    if rows:
         yield Table("Loops", ["Figure", "Name", *(run.name for run in runs)], rows)
-    if bands := {run.name: run.band for run in runs if run.band}:
-        rows = [
-            row(
-                name,
-                (
-                    "unstable"
-                    if (found := band.worst.get(name, none)).value is None and band.failures
-                    else rounded(found, 5)
-                    for band in bands.values()
-                ),
-            )
-            for name in BAND_METRICS
-            if any(name in band.worst for band in bands.values())
-        ]
+    if bands:
+        rows = [*_rows(BAND_METRICS, [band.worst for band in bands.values()], worst, has_unit=True)]
         rows.append(["Payloads [kg]", "", *(f"{band.masses[0]:g}, {band.masses[1]:g}" for band in bands.values())])
         note = "The largest value with both payloads; controllers, shapers and motion are those for the scene's."
         yield Table("Worst with other payloads", ["Metric", "Name", *bands], rows, note)
@@ -185,25 +190,15 @@ def loop_tables(runs: Sequence[ComparedRun]) -> Iterator[Table]:
 
 
 def metrics_table(runs: Sequence[ComparedRun]) -> Table:
-    """Return the metrics of runs side by side, each with its difference from the first run's."""
-    names = [name for name in ALL_METRICS if any(name in run.metrics for run in runs)]
-    none = Metric(None)
-    rows = []
-    for name in names:
-        found = [run.metrics.get(name, none) for run in runs]
-        cells = (_cell(name, each, found[0], number) for number, each in enumerate(found))
-        rows.append([ALL_METRICS[name].label, name, *cells])
-    return Table(
-        "Metrics",
-        ["Metric", "Name", *(run.name for run in runs)],
-        rows,
-        "Values have the digits that their numerical errors allow. In brackets: difference from the first run.",
-    )
+    """Return the metrics of runs side by side, each with its difference from the first run's in percent."""
 
+    def cell(name: str, run: int, found: Metric) -> str:
+        base = runs[0].metrics.get(name, Metric(None)).value if run else None
+        return Figure.of(name, found.value, run=run, error=found.error, base=base)
 
-def _cell(name: str, measured: Metric, first: Metric, run: int) -> str:
-    """Return a value, with its difference from the first run's in percent."""
-    return Figure.of(name, measured.value, run=run, error=measured.error, base=first.value if run else None)
+    rows = [*_rows(ALL_METRICS, [run.metrics for run in runs], cell, has_unit=False)]
+    note = "Values have the digits that their numerical errors allow. In brackets: difference from the first run."
+    return Table("Metrics", ["Metric", "Name", *(run.name for run in runs)], rows, note)
 
 
 def compared_plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:

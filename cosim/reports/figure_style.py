@@ -91,10 +91,9 @@ def save(drawing: Callable[[], Figure], stem: Path) -> None:
     """
     with style():
         figure = drawing()
-        with replacing(stem.with_suffix(".png")) as path:
-            figure.savefig(path, format="png", dpi=150, metadata={"Software": None})
-        with replacing(stem.with_suffix(".svg")) as path:
-            figure.savefig(path, format="svg", metadata={"Date": None})
+        for kind, nothing in (("png", "Software"), ("svg", "Date")):
+            with replacing(stem.with_suffix(f".{kind}")) as path:
+                figure.savefig(path, format=kind, dpi=150, metadata={nothing: None})
 
 
 def figure_of(plots: Iterable[Plot], title: str = "", columns: int = 1) -> Figure:
@@ -137,20 +136,15 @@ def figure_of(plots: Iterable[Plot], title: str = "", columns: int = 1) -> Figur
 def draw_panel(axes: Axes, panel: chart.Panel, x_label: str = "") -> None:
     """Draw a panel of a page on axes."""
     for curve in (each for each in panel.curves if each.x.size):
-        colour = COLOURS.get(curve.colour, curve.colour)
-        dashes = (0.0, curve.dashes) if curve.dashes else "-"
+        colour, label = COLOURS.get(curve.colour, curve.colour), curve.label or None
         sign, size = {"": ("", 0.0), "disc": ("o", 4.5), "cross": ("x", 6.0)}[curve.dot]
+        line = ((0.0, curve.dashes) if curve.dashes else "-") if curve.width else "none"
         axes.plot(
-            curve.x, curve.y, color=colour, linewidth=curve.width, linestyle=dashes if curve.width else "none",
-            alpha=curve.opacity, marker=sign, markersize=size, label=curve.label or None,
+            curve.x, curve.y, color=colour, linewidth=curve.width, linestyle=line, alpha=curve.opacity, marker=sign, markersize=size,
+            label=None if curve.fill else label,
         )  # fmt: skip
         if curve.fill:
-            (line,), (area,) = (
-                axes.lines[-1:],
-                axes.fill(curve.x, curve.y, color=colour, alpha=curve.fill, linewidth=0.0),
-            )
-            area.set_label(str(line.get_label()))
-            line.set_label(None)
+            axes.fill(curve.x, curve.y, color=colour, alpha=curve.fill, linewidth=0.0, label=label)
     # levels and marks with their texts at the top, in turn lower
     if panel.level is not None and isfinite(panel.level):
         axes.axhline(panel.level, color=GREY, linewidth=1.0, linestyle=DASHES)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from math import isclose
 from typing import Any
 
@@ -14,7 +13,14 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, display_error
 from flexfmu.cosim.reports.page import FIRST_METRICS, RECORDED, Figure, Live, Page, Plot, Table
 from flexfmu.cosim.reports.plots import robot_motion, scene_plot
-from flexfmu.cosim.reports.summary import describe_effects, instability, motor_rows, stress_rows, title_of
+from flexfmu.cosim.reports.summary import (
+    describe_effects,
+    instability,
+    motor_table,
+    stress_table,
+    system_summary,
+    title_of,
+)
 from flexfmu.cosim.reports.work_precision import ACCURACY
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
@@ -23,10 +29,6 @@ from flexfmu.trajectories.profiles import PROFILES
 
 FIRST_PLOTS = ("scene",)
 """Plots beside the sliders."""
-
-OPEN = ("Metrics", "Motors", "Stress of the links", "Learning")
-"""Tables that aren't folded away."""
-
 
 SAME = 1e-6
 """Relative difference below which two torques are the same."""
@@ -70,27 +72,21 @@ def of_scene(scene: Scene, run: Run | None = None) -> dict[str, Any]:
         return {}
     robot = None if run is None else robot_motion(planned, run.recording, run.robot)
     data = scene.model_dump(mode="json", exclude_none=True)
-    tables = {"Effects": describe_effects(scene), "Scene file": _scene_rows(data)}
-    if run is not None:
-        tables |= _slave_rows(
-            [asdict(each) for each in run.slaves], [(each.connection, str(each)) for each in run.delays]
-        )
-    return {"first": [scene_plot(planned, robot)], "folded": [*_folded(tables)]}
+    system = [] if run is None else _system_tables(system_summary(run))
+    folded = [_facts("Effects", describe_effects(scene)), _facts("Scene file", dict(_scene_rows(data))), *system]
+    return {"first": [scene_plot(planned, robot)], "folded": [table for table in folded if table.rows]}
 
 
-def _folded(tables: Mapping[str, Mapping[str, str]]) -> Iterator[Table]:
-    """Yield tables of names and texts, without empty ones."""
-    for title, rows in tables.items():
-        if rows:
-            yield Table(title, (), [[name, text] for name, text in rows.items()], texts=1, is_open=title in OPEN)
+def _facts(title: str, rows: Mapping[str, str], *, is_open: bool = False) -> Table:
+    """A table of names and texts."""
+    return Table(title, (), [*rows.items()], texts=1, is_open=is_open)
 
 
-def _slave_rows(slaves: Iterable[Mapping[str, Any]], delays: Iterable[tuple[str, str]]) -> dict[str, dict[str, str]]:
+def _system_tables(summary: Mapping[str, Any]) -> list[Table]:
     """Slaves with the instants at which they sample, and signals with their delays."""
-    return {
-        "Slaves": {slave["name"]: slave["description"] + _sampling(slave) for slave in slaves},
-        "Signals": {connection: text.removeprefix(f"{connection}: ") for connection, text in delays},
-    }
+    slaves = {each["name"]: each["description"] + _sampling(each) for each in summary["slaves"]}
+    delays = {each["connection"]: each["description"].partition(": ")[2] for each in summary["delays"]}
+    return [_facts("Slaves", slaves), _facts("Signals", delays)]
 
 
 def _notices(summary: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
@@ -191,43 +187,50 @@ def _tables(summary: Mapping[str, Any]) -> Iterable[Table]:
     note = f"Metrics are properties of the continuous solution; {summary['health']['errors_from']}."
     yield Table("Metrics", ["Metric", "Name", "Value", "±", "Meaning"], rows, note, 1, is_open=True)
     health, shaping, references = summary["health"], summary.get("shaping"), summary.get("references")
-    tables = {
-        "Effects": summary["effects"],
-        "Scene file": _scene_rows(summary["scene"]),
-        "Motors": {name: " / ".join(texts) for name, texts in motor_rows(summary.get("motors", ())).items()},
-        "Stress of the links": stress_rows(summary.get("stresses", ())),
-        "Shaping": {
+    tables = [
+        _facts("Effects", summary["effects"]),
+        _facts("Scene file", dict(_scene_rows(summary["scene"]))),
+        motor_table(summary.get("motors", ())),
+        stress_table(summary.get("stresses", ())),
+    ]
+    if shaping:
+        times = {
             "added time": f"{1e3 * shaping['added_time']:.4g} ms",
             "path deviation": f"{1e3 * shaping['path_deviation']:.4g} mm",
         }
-        if shaping
-        else {},
-        "References for the flexible robot": {
+        tables.append(_facts("Shaping", times))
+    if references:
+        asked = {
             "knots": f"{1e3 * references['knot_spacing']:.4g} ms apart, {1e3 * references['lead']:g} ms before and after the motion",
             "joint jerk": f"up to {references['largest_joint_jerk']:.4g} rad/s³",
             **({"warning": references["warning"]} if "warning" in references else {}),
         }
-        if references
-        else {},
-        "Learning": {
-            f"cycle {number}": f"{_milliradians(each['rms'])} mrad RMS, {_milliradians(each['largest'])} mrad at most"
-            for number, each in enumerate(summary.get("learning", {}).get("tracking_errors", ()), start=1)
-        },
-        "Health": {
-            "outcome": health["outcome"],
-            "simulated": f"{health['end_time'] or 0.0:g} s of {health['stop_time']:g} s",
-            "communication step": f"{health['communication_step']:g} s",
-            "tolerance": f"{health['tolerance']:g}",
-            "input polynomials": f"degree {health['input_order']}",
-            **{name: f"{count:,}" for name, count in health["statistics"].items()},
-        },
-        **_slave_rows(summary["slaves"], [(each["connection"], each["description"]) for each in summary["delays"]]),
-        "Timing": {name: f"{seconds:.3f} s" for name, seconds in summary["timing"].items()},
-        "Results": {name: f"SHA-256 {digest[:16]}…" for name, digest in summary.get("results", {}).items()},
-        "Versions": {name: value or "–" for name, value in summary["versions"].items()},
-        "Messages of the FMU": {str(number): text for number, text in enumerate(health["messages"], start=1)},
+        tables.append(_facts("References for the flexible robot", asked))
+    learned = {
+        f"cycle {number}": " mrad RMS, ".join(
+            " / ".join(f"{1e3 * value:.4g}" for value in each[kind]) for kind in ("rms", "largest")
+        )
+        + " mrad at most"
+        for number, each in enumerate(summary.get("learning", {}).get("tracking_errors", ()), start=1)
     }
-    yield from _folded(tables)
+    how = {
+        "outcome": health["outcome"],
+        "simulated": f"{health['end_time'] or 0.0:g} s of {health['stop_time']:g} s",
+        "communication step": f"{health['communication_step']:g} s",
+        "tolerance": f"{health['tolerance']:g}",
+        "input polynomials": f"degree {health['input_order']}",
+        **{name: f"{count:,}" for name, count in health["statistics"].items()},
+    }
+    tables += [
+        _facts("Learning", learned, is_open=True),
+        _facts("Health", how),
+        *_system_tables(summary),
+        _facts("Timing", {name: f"{seconds:.3f} s" for name, seconds in summary["timing"].items()}),
+        _facts("Results", {name: f"SHA-256 {digest[:16]}…" for name, digest in summary.get("results", {}).items()}),
+        _facts("Versions", {name: value or "–" for name, value in summary["versions"].items()}),
+        _facts("Messages of the FMU", {str(number): text for number, text in enumerate(health["messages"], start=1)}),
+    ]
+    yield from (table for table in tables if table.rows)
 
 
 def _motion_sentence(scene: Mapping[str, Any], source: str | None) -> str:
@@ -249,18 +252,16 @@ def _cycles(trajectory: Mapping[str, Any]) -> str:
     return f", there and back {times} with pauses of {trajectory['pause']:g} s"
 
 
-def _scene_rows(section: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
-    """Return the scene flattened to dotted keys; entries of arrays of tables have an index."""
-    rows: dict[str, str] = {}
-    for key, value in section.items():
-        if isinstance(value, Mapping):
-            rows |= _scene_rows(value, f"{prefix}{key}.")
-        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
-            for index, item in enumerate(value):
-                rows |= _scene_rows(item, f"{prefix}{key}[{index}].")
-        elif not isinstance(value, list) or value:
-            rows[prefix + key] = _scene_value(value)
-    return rows
+def _scene_rows(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """Yield dotted keys and values of the scene; entries of arrays of tables have an index."""
+    if isinstance(value, Mapping):
+        for name, each in value.items():
+            yield from _scene_rows(each, f"{key}.{name}" if key else name)
+    elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+        for index, item in enumerate(value):
+            yield from _scene_rows(item, f"{key}[{index}]")
+    elif value != []:
+        yield key, _scene_value(value)
 
 
 def _scene_value(value: Any) -> str:
@@ -275,7 +276,3 @@ def _sampling(slave: Mapping[str, Any]) -> str:
         return ""
     begin = f" from {slave['offset']:g} s on" if slave["offset"] else ""
     return f", every {slave['sample_time']:g} s{begin}"
-
-
-def _milliradians(values: Iterable[float]) -> str:
-    return " / ".join(f"{1e3 * value:.4g}" for value in values)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -28,6 +29,7 @@ from flexfmu.cosim.metrics.motors import MOTOR_VALUES, motor_loads
 from flexfmu.cosim.metrics.signals import cycle_errors
 from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.cosim.metrics.stress import link_stresses
+from flexfmu.cosim.reports.page import Table
 from flexfmu.fmu_build.archive import DAMAGED, open_archive
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.model.scene.choice import NAMED_FLOOR
@@ -135,8 +137,7 @@ def summarise(run: Run, measurements: Mapping[str, Metric]) -> dict[str, Any]:
         if rigid.task is rigid.along_path
         else {"added_time": rigid.duration - rigid.along_path.duration, "path_deviation": rigid.deviation},
         "references": {} if plan.design is None else reference_facts(plan),
-        "motors": _motors(run),
-        "stresses": _stresses(run),
+        **_loads(run),
         **_cycles(run),
     }
     parts = asdict(run.timing)
@@ -149,16 +150,18 @@ def summarise(run: Run, measurements: Mapping[str, Metric]) -> dict[str, Any]:
         "own_errors": {name: each.own_error for name, each in measurements.items()},
         "health": _health(run, measurements),
         **{key: found for key, found in optional.items() if found},
-        "slaves": [asdict(slave) for slave in run.slaves],
-        "delays": [
-            {name: getattr(delay, name) for name in ("connection", "seconds", "hold", "latency", "average")}
-            | {"description": str(delay)}
-            for delay in run.delays
-        ],
+        **system_summary(run),
         "timing": {**parts, "total": sum(parts.values())},
         "versions": dict(versions(run.fmu_path)),
         "units": run.recording.units,
     }
+
+
+def system_summary(run: Run) -> dict[str, Any]:
+    """Return the slaves of a run, and the delays of its connections."""
+    names = ("connection", "seconds", "hold", "latency", "average")
+    delays = [{name: getattr(each, name) for name in names} | {"description": str(each)} for each in run.delays]
+    return {"slaves": [asdict(slave) for slave in run.slaves], "delays": delays}
 
 
 def title_of(summary: Mapping[str, Any]) -> str:
@@ -267,34 +270,28 @@ def _cycles(run: Run) -> dict[str, Any]:
     return {**found, "learning": {"period": repetition.period, "tracking_errors": errors}} if errors else found
 
 
-def _motors(run: Run) -> list[dict[str, Any]]:
-    """Return what each motor of the scene has to do against what it can; empty without motors."""
-    try:
-        loads = motor_loads(run)
-    except ResultsError:  # not all signals were recorded
-        return []
-    return [
-        {
-            "joint": load.joint,
-            "name": load.motor.name,
-            "margins": [{**asdict(margin), "use": margin.use} for margin in load.margins],
-            "critical": load.critical.name,
-            **{key: getattr(load, key) for key, _, _ in MOTOR_VALUES},
-            "exceeded": list(load.exceeded),
-        }
-        for load in loads
-    ]
+def _loads(run: Run) -> dict[str, Any]:
+    """Return what each motor of the scene has to do against what it can, and with a yield strength the peak stresses of the links.
 
-
-def _stresses(run: Run) -> list[dict[str, Any]]:
-    """Return the peak stresses of the links; empty without the material's yield strength."""
-    if run.scene.mechanism.material.yield_strength is None:
-        return []
-    try:
-        links = link_stresses(run)
-    except ResultsError:  # the derivatives were not recorded
-        return []
-    return [{**asdict(link), "safety": link.safety, "exceeded": list(link.exceeded)} for link in links]
+    Of either nothing where not all signals, or not their derivatives, were recorded.
+    """
+    found = dict[str, Any]()
+    with suppress(ResultsError):
+        found["motors"] = [
+            {
+                "joint": load.joint,
+                "name": load.motor.name,
+                "margins": [{**asdict(margin), "use": margin.use} for margin in load.margins],
+                "critical": load.critical.name,
+                **{key: getattr(load, key) for key, _, _ in MOTOR_VALUES},
+                "exceeded": list(load.exceeded),
+            }
+            for load in motor_loads(run)
+        ]
+    with suppress(ResultsError):
+        links = link_stresses(run) if run.scene.mechanism.material.yield_strength is not None else ()
+        found["stresses"] = [{**asdict(link), "safety": link.safety, "exceeded": list(link.exceeded)} for link in links]
+    return found
 
 
 def choice_summary(scene: Scene) -> dict[str, Any]:
@@ -302,22 +299,22 @@ def choice_summary(scene: Scene) -> dict[str, Any]:
     choice = scene.effects.choice
     if choice is None:
         return {}
+
+    def named(values: Sequence[float | None]) -> dict[str, float | None]:
+        return dict(zip(choice.of, values, strict=True))
+
     # the choice as a whole, then effect by effect
     return {
         "tolerance": choice.tolerance,
         "of": list(choice.of),
         "chosen": scene.effects.model_dump(mode="json", include=set(CHOOSABLE)),
-        "estimated_error": dict(zip(choice.of, choice.error, strict=True)),
-        **({} if choice.verified is None else {"verified_error": dict(zip(choice.of, choice.verified, strict=True))}),
+        "estimated_error": named(choice.error),
+        **({} if choice.verified is None else {"verified_error": named(choice.verified)}),
         "verified_in": choice.verified_in,
         "integrator_tolerance": scene.cosimulation.tolerance,
         "effects": [
-            {
-                "effect": each.effect,
-                "change": each.change,
-                "chosen": each.chosen,
-                "contribution": dict(zip(choice.of, each.contribution, strict=True)),
-            }
+            {name: getattr(each, name) for name in ("effect", "change", "chosen")}
+            | {"contribution": named(each.contribution)}
             for each in choice.effects
         ],
     }
@@ -361,25 +358,30 @@ def _package(name: str) -> str | None:
         return None
 
 
-def motor_rows(motors: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, ...]]:
-    """Return name of a quantity → its text for each motor: value, limit and use."""
-    rows = {}
+def motor_table(motors: Sequence[Mapping[str, Any]]) -> Table:
+    """Return value, limit and use of each margin of each motor of a summary, and what its winding and its rotor give."""
+    rows = []
     for margins in zip(*(motor["margins"] for motor in motors), strict=True):
         texts = (
             f"{each['value']:.4g} of {each['limit']:g} {shown_unit(each['unit'])}, {100 * each['use']:.0f} %"
             for each in margins
         )
-        rows[margins[0]["name"]] = tuple(texts)
+        rows.append([margins[0]["name"], *texts])
     for key, name, unit in MOTOR_VALUES:
         values = [motor[key] for motor in motors]
         if any(value is not None for value in values):
-            rows[name] = tuple("–" if value is None else f"{value:.4g} {shown_unit(unit)}".rstrip() for value in values)
-    return rows
+            texts = ("–" if value is None else f"{value:.4g} {shown_unit(unit)}".rstrip() for value in values)
+            rows.append([name, *texts])
+    heads = (f"Motor {each['joint']}" + (f", {each['name']}" if each["name"] else "") for each in motors)
+    return Table("Motors", ["At the shaft", *heads], rows, is_open=True)
 
 
-def stress_rows(links: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Return name of a link → its peak stress, where and when it is, and the safety factor."""
-    rows = {}
+STRESS = "Largest stress, place, time, change by the last mode"
+
+
+def stress_table(links: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the peak stress of each link of a summary, where and when it is, and the safety factor."""
+    rows = []
     for link in links:
         peak, change, safety = link["combined"], link["change"], link["safety"]
         text = "no modes, stress not known"
@@ -387,5 +389,5 @@ def stress_rows(links: Sequence[Mapping[str, Any]]) -> dict[str, str]:
             text = f"{1e-6 * peak['value']:.4g} MPa at {1e3 * peak['place']:.4g} mm, {peak['time']:.4g} s"
             text += "" if change is None else f", last mode {100.0 * change:.2g} %"
             text += "" if safety is None else f", safety {safety:.3g}"
-        rows[link["link"]] = text
-    return rows
+        rows.append([link["link"], text])
+    return Table("Stress of the links", ["Link", STRESS], rows, texts=1, is_open=True)

@@ -6,6 +6,7 @@ Texts wrap between words. Where even that is too wide, each row is a block of li
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
+from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -130,12 +131,8 @@ class FittingTable(Table):
 
     def _stacked(self) -> FittingTable:
         """Return the table with the second column below the first."""
-        words, names, *others = self.columns
-        cells: list[RenderableType] = [
-            Text(f"{word}\n{name}".rstrip()) for word, name in zip(words.cells, names.cells, strict=True)
-        ]
-        heads = [replace(words, _cells=cells), *others]
-        found = FittingTable(*(replace(each, _cells=[]) for each in heads), title=Text(str(self.title or "")))
-        for row, texts in zip(self.rows, zip(*(head.cells for head in heads), strict=True), strict=True):
-            found.add_row(*texts, style=row.style, end_section=row.end_section)
+        found, (words, names, *others) = copy(self), self.columns
+        pairs = zip(words.cells, names.cells, strict=True)
+        first = replace(words, _cells=[Text(f"{word}\n{name}".rstrip()) for word, name in pairs])
+        found.columns = [replace(each, _index=place) for place, each in enumerate([first, *others])]
         return found

@@ -17,7 +17,7 @@ from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.cosim.metrics.motors import MotorLoad, divided, largest_load_inertia, motor_loads, multiplied
 from flexfmu.cosim.metrics.segments import bernstein_basis
 from flexfmu.cosim.reports.plots import motor_plots
-from flexfmu.cosim.reports.summary import motor_rows, summarise
+from flexfmu.cosim.reports.summary import motor_table, summarise
 from flexfmu.model.kinematics import load_mass_matrix
 from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene.errors import SceneError
@@ -151,7 +151,7 @@ def test_summary_and_pictures(make_run: MakeRun) -> None:
     motors = summarise(run, {})["motors"]
     assert [motor["joint"] for motor in motors] == [1, 2]
     assert motors[0]["exceeded"]
-    rows = motor_rows(motors)
+    rows = {name: texts for name, *texts in motor_table(motors).rows}
     assert rows["speed"][0].endswith("rad/s, 3 %")
     assert rows["peak current"][0].endswith(" A")
     assert "copper loss, mean" not in rows
