@@ -36,7 +36,7 @@ def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, files: 
         proven = {each["name"] for each in summary.get("accuracy", {}).get("figures", ())}
         parts += [_metrics_table(title_of(summary), shown, summary["errors"], proven), health["errors_from"]]
     motors, links = summary.get("motors", ()), summary.get("stresses", ())
-    tables = (motor_table(motors), stress_table(links))
+    tables = (motor_table(motors), stress_table(links, "Stress"))
     parts += [as_terminal_table(table, texts=(STRESS,)) for table in tables if table.rows]
     # how the run went
     timing, statistics = summary["timing"], ", ".join(f"{count} {name}" for name, count in health["statistics"].items())

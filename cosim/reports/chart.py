@@ -116,15 +116,11 @@ class Panel:
     is_function: bool = True
     motion: Mapping[str, Any] | None = None
 
-    def chosen(self, curve: Curve, most: int) -> NDArray[np.intp]:
-        """The indices of at most so many points that show a curve."""
-        return thinned(curve.y, most) if self.is_function else spread(curve.y.size, most)
-
     def thinned(self, most: int) -> Panel:
         """The panel with curves of at most so many points."""
         curves = list[Curve]()
         for each in self.curves:
-            chosen = self.chosen(each, most)
+            chosen = thinned(each.y, most) if self.is_function else spread(each.y.size, most)
             more = {name: values[chosen] for name, values in each.more.items()}
             notes = [each.notes[i] for i in chosen] if each.notes else ()
             curves.append(replace(each, x=each.x[chosen], y=each.y[chosen], more=more, notes=notes))
@@ -132,11 +128,8 @@ class Panel:
 
     def plain(self, x_label: str) -> str:
         """A picture without axes for pages without scripts, and its limits as text; nothing where nothing is drawn."""
-        curves, logs = (
-            [each for each in self.curves if each.width or each.dot],
-            [[axis in self.logarithmic] for axis in "xy"],
-        )
-        points = [np.array([each.x, each.y], dtype=float)[:, self.chosen(each, PLAIN_POINTS)] for each in curves]
+        curves = [each for each in self.thinned(PLAIN_POINTS).curves if each.width or each.dot]
+        points, logs = [np.array([each.x, each.y]) for each in curves], [[axis in self.logarithmic] for axis in "xy"]
         points = [np.where(logs & ~(each > 0.0), np.nan, each) for each in points]
         finite = np.concatenate(
             [each[:, np.isfinite(each).all(axis=0)] for each in points] or [np.zeros((2, 0))], axis=1

@@ -15,6 +15,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.rcsetup import cycler
 from matplotlib.ticker import LogFormatter, MaxNLocator
 
@@ -148,7 +149,9 @@ def draw_panel(axes: Axes, panel: chart.Panel, x_label: str = "") -> None:
     # levels and marks with their texts at the top, in turn lower
     if panel.level is not None and isfinite(panel.level):
         axes.axhline(panel.level, color=GREY, linewidth=1.0, linestyle=DASHES)
-    small: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8}
+    # in front of the lines that they cross
+    halo = withStroke(linewidth=2.0, foreground="white")
+    small: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8, "path_effects": [halo]}
     for number, (x, text) in enumerate(panel.marks):
         axes.axvline(x, color=GREY, linewidth=1.0, linestyle=DASHES)
         below = (3.0, -3.0 - 10.0 * (number % STAIRS))

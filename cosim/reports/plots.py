@@ -39,6 +39,7 @@ from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_
 from flexfmu.cosim.reports.work_precision import tried_settings
 from flexfmu.model.beams import Shape, scene_shapes, tip_force_bending
 from flexfmu.model.scene.assembly import bases, elbows, motor_angles
+from flexfmu.model.scene.motor import Motor
 from flexfmu.model.scene.schema import Scene
 
 FRAMES, DURATION = 301, 6.0
@@ -389,15 +390,16 @@ def motor_plots(run: Run) -> Iterator[Plot]:
     if not loads:
         return
     caption = "At the shaft, with the limits of the motor: peak torque and speed, and dashed the continuous torque."
-    corners = np.array([[-1.0, 1.0, 1.0, -1.0, -1.0], [-1.0, -1.0, 1.0, 1.0, -1.0]])
+
+    def limit(motor: Motor, torque: float, name: str, dashes: tuple[float, ...] = ()) -> Curve:
+        x, y = motor.maximum_speed * np.array([-1, 1, 1, -1, -1]), torque * np.array([-1, -1, 1, 1, -1])
+        return Curve(x, y, name, GREY, dashes=dashes, is_read=False)
+
     for load, colour in zip(loads, COLOURS, strict=True):
         motor = load.motor
         limits = [
-            Curve(motor.maximum_speed * corners[0], torque * corners[1], name, GREY, dashes=dashes, is_read=False)
-            for torque, name, dashes in (
-                (motor.peak_torque, "peak torque, speed", ()),
-                (motor.continuous_torque, "continuous torque", DASHES),
-            )
+            limit(motor, motor.peak_torque, "peak torque, speed"),
+            limit(motor, motor.continuous_torque, "continuous torque", DASHES),
         ]
         path = Curve(load.speed, load.torque, load.label, colour, more={"time [s]": load.time})
         panel = Panel(label="torque [N·m]", curves=[*limits, path], is_function=False)

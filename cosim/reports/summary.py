@@ -379,7 +379,7 @@ def motor_table(motors: Sequence[Mapping[str, Any]]) -> Table:
 STRESS = "Largest stress, place, time, change by the last mode"
 
 
-def stress_table(links: Sequence[Mapping[str, Any]]) -> Table:
+def stress_table(links: Sequence[Mapping[str, Any]], title: str = "Stress of the links") -> Table:
     """Return the peak stress of each link of a summary, where and when it is, and the safety factor."""
     rows = []
     for link in links:
@@ -390,4 +390,4 @@ def stress_table(links: Sequence[Mapping[str, Any]]) -> Table:
             text += "" if change is None else f", last mode {100.0 * change:.2g} %"
             text += "" if safety is None else f", safety {safety:.3g}"
         rows.append([link["link"], text])
-    return Table("Stress of the links", ["Link", STRESS], rows, texts=1, is_open=True)
+    return Table(title, ["Link", STRESS], rows, texts=1, is_open=True)

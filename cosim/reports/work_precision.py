@@ -25,6 +25,9 @@ ACCURACY = "accuracy-"
 FRONT = "cheapest of all"
 """Line of the settings that none beats in both error and time."""
 
+TRIED = "Time of a run over the bound of the error, of the settings that were tried; dashed: what was asked."
+"""Caption of the diagrams of a report."""
+
 Lines = Mapping[str, Sequence[WorkPrecisionTrial]]
 """Line → its trials."""
 
@@ -97,21 +100,16 @@ def tried_settings(answer: AccuracyAnswer, duration: float) -> Iterator[Plot]:
             (figure.reference / size, answer.dearest.time, "dearest"),
             *((each.error or 0.0, own.time, "default") for each in trials if own is not None and each.time == own.time),
         ]
-        places = [(max(error, FLOOR), 1e3 * time) for error, time, _ in marked]
+        markers = [
+            Marker(max(error, FLOOR), 1e3 * time, 11.0, INK, 0.35, "square", text, (0.0, -9.0), "middle")
+            for error, time, text in marked
+        ]
         lines = by_line(trials) | {FRONT: list(WorkCurve.of(trials).trials)}
-        unit = "" if figure.value else f" [{figure.unit}]"
-        yield diagram(
-            f"{ACCURACY}{figure.name}",
-            (
-                f"{definition(figure.name).label}: what its accuracy costs",
-                "Time of a run over the bound of the error, of the settings that were tried; dashed: what was asked.",
-                f"{'error' if unit else 'relative error'} beside the richest model{unit}",
-            ),
-            lines,
-            duration,
-            [(figure.allowed / size, "asked")],
-            [
-                Marker(*place, 11.0, INK, 0.35, "square", text, (0.0, -9.0), "middle")
-                for place, (*_, text) in zip(places, marked, strict=True)
-            ],
+        title = f"{definition(figure.name).label}: what its accuracy costs"
+        label = (
+            ("relative error" if figure.value else "error")
+            + " beside the richest model"
+            + ("" if figure.value else f" [{figure.unit}]")
         )
+        marks = [(figure.allowed / size, "asked")]
+        yield diagram(f"{ACCURACY}{figure.name}", (title, TRIED, label), lines, duration, marks, markers)

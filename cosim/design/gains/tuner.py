@@ -30,7 +30,7 @@ from flexfmu.cosim.many.executor import mapping
 from flexfmu.cosim.many.journal import NOWHERE, WorkJournal
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS, definition, metric
-from flexfmu.cosim.reports.chart import INK, PALETTE, Curve, Panel, scale_of
+from flexfmu.cosim.reports.chart import DASHES, GREY, INK, PALETTE, Curve, Panel, scale_of
 from flexfmu.cosim.reports.page import TILES, Page, Plot, Table
 from flexfmu.cosim.reports.report import of_scene
 from flexfmu.model.one_thread import one_blas_thread
@@ -138,11 +138,12 @@ class TuneResult(Rows):
         best, number = np.fmin.accumulate(np.where(kept, values, np.nan)), np.arange(1.0 * len(values))
         steps = np.repeat(number, 2)[1:], np.repeat(best, 2)[:-1]
         curves.append(Curve(*steps, "best so far", PALETTE[1], is_read=False))
+        ends = number[[0, -1]], values[[0, 0]]
+        curves.append(Curve(*ends, "given", GREY, 1.0, dashes=DASHES, is_read=False))
         label = f"{goal.label}\n[{info.display_unit}]"
         curves = [each for each in curves if each.x.size]
-        panel = Panel(label, curves, level=float(values[0]), logarithmic=scale_of(values), is_function=False)
-        caption = "The figure that is minimised. Dashed: the given values."
-        return Plot("trials", "Trials", caption, (panel,), "trial", 300.0)
+        panel = Panel(label, curves, logarithmic=scale_of(values), is_function=False)
+        return Plot("trials", "Trials", "The figure that is minimised.", (panel,), "trial", 300.0)
 
     def tables(self) -> list[Table]:
         """The keys, given and tuned; the figure that is minimised and those with limits."""

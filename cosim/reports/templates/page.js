@@ -145,12 +145,11 @@ const page = (() => {
         if (square) ctx.rect(x - size * ratio / 2, y - size * ratio / 2, size * ratio, size * ratio); else ctx.arc(x, y, size * ratio / 2, 0, 7);
         ctx.fill(); ctx.globalAlpha = 1;
       };
-      const text = (content, x, y, align = "left", fill = "var(--ink)") => { ctx.fillStyle = colour(fill); ctx.textAlign = align; ctx.fillText(content, x, y); };
-      // texts of marks in the first line that is free
-      const ends = [];
-      this.marks.forEach(([x, label]) => {
-        if (x < this.shown.x[0] || x > this.shown.x[1]) return;
-        line([[at(x, "x"), bbox.top], [at(x, "x"), bbox.top + bbox.height]], "var(--grey)", 1, [5, 4]);
+      const text = (content, x, y, align = "left", fill = "var(--ink)") => { ctx.textAlign = align; ctx.lineWidth = 4 * ratio; ctx.strokeStyle = colour("var(--card)"); ctx.strokeText(content, x, y); ctx.fillStyle = colour(fill); ctx.fillText(content, x, y); };
+      // texts of marks in the first line that is free, in front of all lines
+      const ends = [], isShown = ([x]) => x >= this.shown.x[0] && x <= this.shown.x[1];
+      for (const [x] of this.marks.filter(isShown)) line([[at(x, "x"), bbox.top], [at(x, "x"), bbox.top + bbox.height]], "var(--grey)", 1, [5, 4]);
+      this.marks.filter(isShown).forEach(([x, label]) => {
         const width = ctx.measureText(label).width, left = Math.min(at(x, "x") + 4 * ratio, bbox.left + bbox.width - width), free = ends.findIndex((end) => end < left), row = free < 0 ? ends.length : free;
         ends[row] = left + width + 4 * ratio;
         text(label, left, bbox.top + (12 + 13 * row) * ratio, "left", "var(--grey)");

@@ -81,6 +81,7 @@ def test_a_figure_shows_what_the_page_shows() -> None:
     assert (one.get_xlim(), two.get_xlim(), one.get_ylabel()) == ((1.0, 1.8), (1.0, 1.8), "u [m]")
     assert (one.get_xlabel(), two.get_xlabel(), three.get_xlabel()) == ("", "time [s]", "x")
     assert [[text.get_text() for text in axes.texts] for axes in (one, two)] == [["end"], ["here"]]
+    assert all(text.get_path_effects() for text in one.texts)  # readable in front of lines
     assert (two.get_yscale(), two.get_ylim()[0] >= 0.5) == ("log", True)
     legend = one.get_legend()
     assert legend is not None

@@ -89,7 +89,15 @@ def test_signals_that_would_be_flat_have_axes_of_their_own() -> None:
     figure = Recording(t, columns).plot(list(columns))
     shown = [" ".join(str(line.get_label()) for line in axes.lines) for axes in figure.axes]
     assert shown == ["x y", "torque", "deflection"]
-    assert [axes.get_ylabel() for axes in figure.axes] == ["[m]", "[N·m]", "[m]"]
+    assert [axes.get_ylabel() for axes in figure.axes] == ["[m]", "[N·m]", "[mm]"]
+    assert np.max(figure.axes[2].lines[0].get_ydata()) == pytest.approx(0.2, rel=1e-2)
+
+
+def test_many_signals_look_different() -> None:
+    """Sixteen of a unit have ten colours."""
+    t = np.linspace(0.0, 1.0, 5)
+    (axes,) = Recording(t, {f"u{k}": Column("V", k + t) for k in range(16)}).plot().axes
+    assert len({(line.get_color(), line.get_linestyle()) for line in axes.lines}) == 16
 
 
 def test_modes_are_a_list_a_table_and_a_diagram() -> None:

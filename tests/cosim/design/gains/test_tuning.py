@@ -94,6 +94,10 @@ def test_limits_that_none_keeps_are_missed_least() -> None:
     result = tune_study(study("peak_torque < 1e3"), trials=60)
     assert not result.is_feasible
     assert result.best.values == pytest.approx((1e3, 10.0), rel=0.05)
+    # every line is in the legend, that of the given values too
+    legend = result.plot().axes[0].get_legend()
+    assert legend is not None
+    assert {"misses a limit", "given"} <= {text.get_text() for text in legend.get_texts()}
 
 
 def test_an_interrupted_tuning_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
