@@ -142,7 +142,9 @@ def show(result: PlanResult, first: float) -> None:
             f"energy {figures['energy']:.4g} J jerk {figures['jerk']:.4g} rad/s3 off {1e3 * figures['off_path']:.2f} mm {'' if figures['feasible'] else 'not within limits'}"
         )
     for line in result.robustness:
-        print(f"  {line.model:40} {1e6 * line.residual:8.3f} um {line.where:24} {', '.join(line.missed)} {line.note}")
+        print(
+            f"  {line.model:40} {1e6 * line.residual:8.3f} um {line.where:24} {', '.join(line.missed or ())} {line.note}"
+        )
     for message in result.failures:
         print(f"  failed: {message}")
 

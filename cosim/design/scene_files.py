@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import tomlkit
@@ -12,6 +13,7 @@ import tomlkit
 from flexfmu.cosim.engine.files import write_whole
 from flexfmu.model.scene.file import load_scene, read_scene_text
 from flexfmu.model.scene.keys import set_value
+from flexfmu.model.scene.schema import Scene
 
 
 def changed_document(source: str | Path, target: Path, changes: Mapping[str, Any]) -> tomlkit.TOMLDocument:
@@ -53,23 +55,29 @@ def write_changed(source: str | Path, target: Path, changes: Mapping[str, Any]) 
     return target
 
 
-def write_new(data: Mapping[str, Any], target: Path, comments: Iterable[str] = ()) -> Path:
+def write_new(
+    scene: Scene, target: Path, comments: Iterable[str] = (), sections: Mapping[str, Any] = MappingProxyType({})
+) -> Path:
     """Write a scene file of its own, with comments on top, and read it again.
 
     Args:
-        data: what the file has.
+        scene: the scene, of which the file has what isn't a default.
         target: the new file.
         comments: lines.
+        sections: what the file has in place of sections of the scene.
 
     Raises:
         ResultsError: the file can't be written.
     """
+    data = scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    if scene.effects.choice is not None and None in scene.effects.choice.error:
+        del data["effects"]["choice"]  # TOML has no null for errors that aren't estimated
     document = tomlkit.document()
     for line in comments:
         document.add(tomlkit.comment(line))
     if comments:
         document.add(tomlkit.nl())
-    for key, value in data.items():
+    for key, value in {**data, **sections}.items():
         document.add(key, toml_item(value))
     write_whole(target, tomlkit.dumps(document))
     load_scene(target)

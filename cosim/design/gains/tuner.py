@@ -425,7 +425,7 @@ def write_tuned(
         SceneError: the file doesn't give the scene that was tuned.
     """
     if source is None:
-        return write_new(result.scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True), target)
+        return write_new(result.scene, target)
     # tuned keys with their whole values: one number for both joints, or both
     data, tuned = result.scene.model_dump(mode="json", exclude_none=True), dict[str, Any]()
     for key in result.values:

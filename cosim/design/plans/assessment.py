@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import gc
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -68,7 +68,7 @@ class Candidate:
         method: where it comes from.
         scene: the scene with this motion's keys.
         trajectory: motion of the joints q11, q21 [rad], in place of the scene's; None for the scene's own motion.
-        ways: the motions of a cycle; empty for a single motion. The scene is that of the first one.
+        cycle: the motions of a cycle; empty for a single motion. The scene is that of the first one.
         is_rough: whether it was planned for few robots, as a start for a motion for all, which is preferred.
     """
 
@@ -76,13 +76,25 @@ class Candidate:
     method: Method
     scene: Scene
     trajectory: Trajectory | None = None
-    ways: tuple[Candidate, ...] = ()
+    cycle: tuple[Candidate, ...] = ()
     is_rough: bool = False
+
+    @classmethod
+    def of(cls, goals: Goals, label: str, method: Method, motions: Iterable[Trajectory | None]) -> Candidate:
+        """The motion or the cycle of these references, one for each way; None for the scene's own motion."""
+        pairs = zip(goals.ways, motions, strict=True)
+        ways = tuple(cls(label, method, each.scene, motion) for each, motion in pairs)
+        return replace(ways[0], cycle=ways) if goals.cycle else ways[0]
+
+    @property
+    def ways(self) -> tuple[Candidate, ...]:
+        """The motion of each way; a single motion is its only one."""
+        return self.cycle or (self,)
 
     @property
     def content(self) -> Mapping[str, Any]:
         """What tells the motion from others: keys of the scene, and samples of its own references."""
-        if self.ways:
+        if self.cycle:
             return {"ways": [each.content for each in self.ways]}
         references = self.joints.evaluate(np.linspace(0.0, self.joints.duration, SAMPLES), 2, "left")
         return about_scene(self.scene) | {"method": self.method, "references": references}
@@ -103,8 +115,7 @@ class Candidate:
 
     def prepared(self, step: float = STEP) -> PreparedScene:
         """The candidate, ready for runs; errors as of `loop`."""
-        scene, loop = self.loop.motion.scene, self.loop
-        return PreparedScene(scene, loop=loop, communication_step=step, tolerance=TOLERANCE)
+        return PreparedScene(self.loop.motion.scene, loop=self.loop, communication_step=step, tolerance=TOLERANCE)
 
 
 def own_candidate(scene: Scene, name: str, motion: OwnMotion | Trajectory) -> Candidate:
@@ -253,13 +264,12 @@ class Judge:
     def __init__(self, goals: Goals, payloads: int | None = None, journal: WorkJournal = NOWHERE) -> None:
         self.goals, self.payloads, self.journal = goals, payloads or JUDGED, journal
         # those of the way with most robots
-        self.robots = max((each.variations(self.payloads) for each in goals.ways or (goals,)), key=len)
+        self.robots = max((each.variations(self.payloads) for each in goals.ways), key=len)
 
     @cached_property
     def given(self) -> Assessment:
         """The given motion."""
-        ways = tuple(Candidate("given", "given", each.scene, each.own) for each in self.goals.ways)
-        return self.assess(Candidate("given", "given", self.goals.scene, self.goals.own, ways))
+        return self.assess(Candidate.of(self.goals, "given", "given", (each.own for each in self.goals.ways)))
 
     def assess(self, candidate: Candidate) -> Assessment:
         """Run a candidate over the bands.
@@ -282,15 +292,19 @@ class Judge:
 
     def of_ways(self, candidate: Candidate) -> tuple[Assessment, ...]:
         """The assessments of each way of a cycle; arguments and errors as for `assess`."""
-        judges = [Judge(each, self.payloads, self.journal) for each in self.goals.ways]
-        return tuple(judge.assess(way) for judge, way in zip(judges, candidate.ways, strict=True))
+        judges = [Judge(each, self.payloads, self.journal) for each in self.goals.cycle]
+        return tuple(judge.assess(way) for judge, way in zip(judges, candidate.cycle, strict=True))
 
-    def _of_cycle(self, ways: Sequence[Assessment], motions: Sequence[Trajectory]) -> tuple[Values, Values]:
+    def _of_cycle(self, ways: Sequence[Assessment]) -> tuple[Values, Values]:
         """What a cycle needs over all its ways and pauses, for each robot of the bands and what it carries on the other ways, and instants."""
         durations = np.array([way.time + goals.pause for way, goals in zip(ways, self.goals.ways, strict=True)])
-        robots, starts, period = [way.robots for way in ways], np.cumsum(durations) - durations, durations.sum()
-        cases, values, times = cases_of(robots), dict[str, RealArray](), dict[str, RealArray]()
-        periodic, more = _left_vibration(self.goals, motions, robots, cases)
+        starts, period, cases = (
+            np.cumsum(durations) - durations,
+            durations.sum(),
+            cases_of([each.robots for each in ways]),
+        )
+        values, times = dict[str, RealArray](), dict[str, RealArray]()
+        periodic, more = _left_vibration(self.goals, ways, cases)
         for name in ways[0].values:
             rows = np.array([way.values[name][of_case] for way, of_case in zip(ways, cases, strict=True)])
             if name == "residual":
@@ -313,9 +327,8 @@ class Judge:
         return values, times
 
     def _judged(self, candidate: Candidate) -> tuple[Values, Values, tuple[Limit, ...]]:
-        if candidate.ways:
-            motions = [each.joints for each in candidate.ways]
-            values, times = self._of_cycle(self.of_ways(candidate), motions)
+        if candidate.cycle:
+            values, times = self._of_cycle(self.of_ways(candidate))
         else:
             prepared, joints, found = candidate.prepared(), candidate.joints, list[tuple[Values, Values]]()
             for each in self.robots:
@@ -341,36 +354,34 @@ class Judge:
 
     def _of_run(self, run: Run) -> tuple[Values, Values]:
         """What the robot of a run needs by figure (1,), or (2,) of both joints, and instants of some figures."""
-        metrics, recording, end, settings = run.metrics, run.recording, run.plan.duration, settings_for(run)
-        time, torques = recording.time, [recording[name].values for name in TORQUES]
+        recording, end, settings = run.recording, run.plan.duration, settings_for(run)
+        time, torques = recording.time, np.column_stack([recording[name].values for name in TORQUES])
         points = np.column_stack([recording[name].values for name in POSITION])[time <= end]
         off, depth = np.abs(self.goals.path.distance(points)[0]), -self.goals.clearance.along(points)
         vibrating = position(recording).within(end + self.goals.wishes.settled_within, math.inf)
         residual = RecordedSignal(deviation_from_point(vibrating, settings.end_equilibrium))
-
-        def of_joints(name: str) -> RealArray:
-            return np.array([float(metrics[f"{name}_{joint}"]) for joint in (1, 2)])
-
         # mean squares over the pause of a cycle instead of the dwell, at the end of which the robot rests
         dwell, pause = time[-1] - end, self.goals.pause
         late = time >= end + pause
-        swings = [np.trapezoid(each[late] ** 2 - each[-1] ** 2, time[late]) for each in torques]
-        more = [each[-1] ** 2 * (pause - dwell) for each in torques] - np.array(swings)
+        more = torques[-1] ** 2 * (pause - dwell) - np.trapezoid(
+            torques[late] ** 2 - torques[-1] ** 2, time[late], axis=0
+        )
 
-        def rms(name: str, mean: RealArray, unit: RealArray | float = 1.0) -> RealArray:
-            squares = mean**2 * (end + dwell) + more / np.square(unit)
+        def rms(name: str, mean: Sequence[float], unit: RealArray | float = 1.0) -> RealArray:
+            squares = np.square(mean) * (end + dwell) + more / np.square(unit)
             return np.asarray(np.sqrt(squares * self._weight(name, end + pause)))
 
-        one, other = (RecordedSolution(recording, settings).duty_power(joint) for joint in (1, 2))
-        assert one is not None  # speeds are planned
-        assert other is not None
-        both = RecordedPower(one.segments.minus(-other.segments.left, -other.segments.right), 1)
+        solution = RecordedSolution(recording, settings)
+        # speeds are planned, so that there is a power of each motor
+        powers = [each for each in map(solution.duty_power, (1, 2)) if each is not None]
+        first, second = (each.segments for each in powers)
+        both = RecordedPower(first.minus(-second.left, -second.right), 1)
         values: dict[str, Any] = {
-            "torque": of_joints("peak_torque"),
-            "rms_torque": rms("rms_torque", of_joints("rms_torque")),
-            "power": np.maximum(of_joints("peak_power"), of_joints("peak_regenerated_power")),
+            "torque": [solution.torque(joint).peak() for joint in (1, 2)],
+            "rms_torque": rms("rms_torque", [solution.duty_torque(joint).root_mean_square() for joint in (1, 2)]),
+            "power": [max(each.peak(1), each.peak(-1)) for each in powers],
             "residual": [residual.peak()],
-            "energy": [of_joints("positive_energy").sum()],
+            "energy": [sum(each.energy(1) for each in powers)],
             "supply_power": [both.peak(1)],
             "regenerated_power": [both.peak(-1)],
             "regenerated_energy": [both.energy(-1)],
@@ -381,19 +392,18 @@ class Judge:
             use = [{margin.name: margin.use for margin in load.margins} for load in loads]
             unit = np.array([load.motor.gear_ratio * load.motor.continuous_torque for load in loads])
             values["motor_torque"] = [max(each["peak torque"], each.get("torque at speed", 0.0)) for each in use]
-            values["motor_rms_torque"] = rms("motor_rms_torque", np.array([each["RMS torque"] for each in use]), unit)
+            values["motor_rms_torque"] = rms("motor_rms_torque", [each["RMS torque"] for each in use], unit)
             values["motor_speed"] = [each["speed"] for each in use]
         # forces in elbows and between the legs and the end effector; no stress in rigid links
         if "reaction" in self.goals.limits:
-            names = [f"{place}{leg}.reaction" for place in ("elbow", "leg") for leg in (1, 2)]
-            values["reaction"] = [
-                np.max([np.hypot(*(recording[f"{each}.{axis}"].values for axis in "xy")) for each in names])
-            ]
+            joints = [f"{place}{leg}" for place in ("elbow", "leg") for leg in (1, 2)]
+            x, y = ([recording[f"{joint}.reaction.{axis}"].values for joint in joints] for axis in "xy")
+            values["reaction"] = [np.hypot(x, y).max()]
         if "stress" in self.goals.limits:
             combined = [each.combined.value for each in link_stresses(run) if each.combined is not None]
             values["stress"] = [max(combined, default=0.0)]
-        instants: dict[str, Any] = {"torque": [time[np.abs(each).argmax()] for each in torques]}
-        return values, instants | {"off_path": [time[off.argmax()]], "clearance": [time[depth.argmax()]]}
+        instants = {"torque": np.abs(torques).argmax(axis=0), "off_path": [off.argmax()], "clearance": [depth.argmax()]}
+        return values, {name: time[index] for name, index in instants.items()}
 
     def _weight(self, figure: str, period: float) -> RealArray:
         """What an integral of squares in a period [s] counts for both motors (2,) [1/s], see `weight_of_squares`."""
@@ -425,19 +435,14 @@ def cases_of(variations: Sequence[Sequence[Variation]]) -> list[NDArray[np.intp]
     return [np.abs(cases - places(robots)).sum(axis=2).argmin(axis=1) for robots in variations]
 
 
-def _left_vibration(
-    goals: Goals,
-    motions: Sequence[Trajectory],
-    variations: Sequence[Sequence[Variation]],
-    cases: Sequence[NDArray[np.intp]],
-) -> RealArray:
+def _left_vibration(goals: Goals, ways: Sequence[Assessment], cases: Sequence[NDArray[np.intp]]) -> RealArray:
     """Bounds (2, W, C, 1) [m] of each way's residual vibration in the periodic motion, and of its difference from that from rest."""
     starts, ends = list[list[Rest]](), list[optimal_control.ResidualVibration]()
     states, transfers = list[RealArray](), list[RealArray]()
-    for way, motion, robots in zip(goals.ways, motions, variations, strict=True):
+    for of_way, way in zip(goals.ways, ways, strict=True):
+        motion, changes = way.candidate.joints, [each.changes(of_way.scene) for each in way.robots]
         first, last = motion.evaluate([0.0, motion.duration], 0, "right")[0]
-        changes = [each.changes(way.scene) for each in robots]
-        response = ElasticResponse(way.scene, changes, first, STEPS, CompiledAtPoints)
+        response = ElasticResponse(of_way.scene, changes, first, STEPS, CompiledAtPoints)
         references = np.hstack(list(motion.evaluate(response.fractions * motion.duration, 2, "left")))
         starts.append([response.model.rest(first)])
         ends.append(optimal_control.ResidualVibration([response.model], last))

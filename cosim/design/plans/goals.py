@@ -19,6 +19,7 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.cycles import Reversed
 from flexfmu.cosim.experiment.parameters import scene_parameters, scene_with_parameters
 from flexfmu.cosim.experiment.planning import MotionPlan, plan, plan_own
+from flexfmu.cosim.metrics.metric_table import PLAN_FIGURES
 from flexfmu.model.reference_design.elastic_response import VariantModel
 from flexfmu.model.reference_design.loads import Drives
 from flexfmu.model.scene.messages import unit_of
@@ -108,25 +109,30 @@ class Goals:
         scene: the given scene, from a start at rest, with a dwell that shows the residual vibration.
         wishes: its section `plan`.
         limits: by name; ``clearance`` is that of a depth.
-        payload: mass that the planned scene has [kg]; None for that of `scene`.
+        payload: mass that the planned scene has [kg]; `scene` has the heaviest of the band in place of none.
         own: the given motion of the joints where it isn't the scene's.
         pause: time at rest after the motion that RMS torques contain [s]: of a cycle, or the given scene's dwell.
         loop: the scene with the controllers that will follow the planned motion; None for motors that follow exactly.
         before: joint references of an earlier plan, of each way, from which optimal control goes on first.
-        ways: the goals of each way of a cycle; empty for a single motion. The goals of a cycle have the scene of its first way.
+        cycle: the goals of each way of a cycle; empty for a single motion. The goals of a cycle have the scene of its first way.
         judged: what judges of these goals have found, so that none runs a motion again: by number of robots and motion.
     """
 
     scene: Scene
     wishes: PlanSection
     limits: Mapping[str, Limit]
-    payload: float | None = None
+    payload: float
     own: Trajectory | None = None
     pause: float = 0.0
     loop: Scene | None = None
     before: tuple[Trajectory, ...] = ()
-    ways: tuple[Goals, ...] = ()
+    cycle: tuple[Goals, ...] = ()
     judged: dict[tuple[int, Any], Any] = field(default_factory=dict, init=False, compare=False, repr=False)
+
+    @property
+    def ways(self) -> tuple[Goals, ...]:
+        """The goals of each way; a single motion is its only one."""
+        return self.cycle or (self,)
 
     @cached_property
     def trace(self) -> RealArray:
@@ -170,7 +176,7 @@ class Goals:
     @property
     def rest(self) -> float:
         """Pauses of a cycle together [s]; 0 for a single motion."""
-        return sum(each.pause for each in self.ways)
+        return sum(each.pause for each in self.cycle)
 
     @property
     def drives(self) -> Drives | None:
@@ -209,7 +215,7 @@ def payload_band(scene: Scene, wishes: PlanSection) -> tuple[float, float]:
 
 
 def goals_of(scene: Scene) -> Goals:
-    """The wishes of a scene's section `plan`, or the defaults, in numbers, checked against each other; see `Goals.ways` for cycles.
+    """The wishes of a scene's section `plan`, or the defaults, in numbers, checked against each other; see `Goals.cycle` for cycles.
 
     Raises:
         TrajectoryError: the given motion isn't feasible.
@@ -258,7 +264,7 @@ def goals_of(scene: Scene) -> Goals:
             own = Reversed(of_way.given.once.joints)
             of_way = replace(of_way, own=own, scene=plan_own(of_way.scene, own).scene)
         ways.append(replace(of_way, pause=cycle.pause if target.pause is None else target.pause))
-    return replace(goals, ways=tuple(ways))
+    return replace(goals, cycle=tuple(ways))
 
 
 def _goals_of_motion(scene: Scene) -> Goals:
@@ -276,39 +282,32 @@ def _goals_of_motion(scene: Scene) -> Goals:
             raise InputError(
                 f'scene {scene.name} has a torque drive without a controller: add one, or plan with `cosimulation.drive = "motion"`'
             )
-        loop = _with_feedforward(scene)
+        loop, controllers = scene, scene.model_dump(exclude_none=True)["controller"]
+        if all(each.kind in ("pd", "pid") for each in scene.controller):
+            # they get the torques of the planned motion in addition
+            further = {"kind": "feedforward", "robot": "flexible", "sample_time": controllers[0].get("sample_time")}
+            loop = scene.replace({"controller": [*controllers, further]})
         scene = scene.replace({"cosimulation.drive": "motion", **dict.fromkeys(LOOP_PARTS, ())})
     if wishes.damping_band and not any(scene_parameters(scene)[name] for name in DAMPING):
         raise InputError(
             f"`plan.damping_band` = {wishes.damping_band:g}, but scene {scene.name} has no damping that could vary: "
             f"leave the band out, or set `effects.damping`"
         )
-    longer, empty = judged_scene(scene, wishes), not scene.payload.mass and payload_band(scene, wishes)[1] > 0.0
-    limits = {"residual": Limit("residual", wishes.residual, "m", rounding=MET)}
-    limits["clearance"] = Limit("clearance", wishes.margin, "m", rounding=MET)
-    for name in PlanLimits.model_fields:
-        asked = getattr(wishes.limits, name)
-        if name in OF_MOTORS and scene.motor is None and asked is not None:
+    asked = {"residual": wishes.residual, "clearance": wishes.margin, **dict(wishes.limits), "time": wishes.duration}
+    usual, limits = USUAL if scene.motor is None else OF_MOTORS, dict[str, Limit]()
+    for name, wish in asked.items():
+        if name in OF_MOTORS and scene.motor is None and wish is not None:
             raise InputError(
                 f"`plan.limits.{name}` is relative to what the motors can, and scene {scene.name} has none: add a section `motor`"
             )
-        value = asked or (USUAL if scene.motor is None else OF_MOTORS).get(name, "free")
+        value = wish or usual.get(name, "free")
         if isinstance(value, Ratio):
             limits[name] = Limit(name, value.ratio, "1", is_relative=True, rounding=MET)
         elif value != "free":
-            limits[name] = Limit(name, value, unit_of((name,), PlanLimits) or "1", rounding=MET)
-    if wishes.duration is not None:
-        limits["time"] = Limit("time", wishes.duration, "s", rounding=MET)
-    return Goals(longer, wishes, limits, 0.0 if empty else None, pause=scene.trajectory.dwell, loop=loop)
-
-
-def _with_feedforward(scene: Scene) -> Scene:
-    """A scene with controllers in which the torques of the planned motion are known: PD and PID controllers get them in addition."""
-    first = scene.controller[0]
-    if any(each.kind not in ("pd", "pid") for each in scene.controller):
-        return scene
-    further = {"kind": "feedforward", "robot": "flexible", "sample_time": getattr(first, "sample_time", None)}
-    return scene.replace({"controller": [*scene.model_dump(exclude_none=True)["controller"], further]})
+            unit = PLAN_FIGURES[name].unit if name in PLAN_FIGURES else unit_of((name,), PlanLimits) or "1"
+            limits[name] = Limit(name, value, unit, rounding=MET)
+    judged = judged_scene(scene, wishes)
+    return Goals(judged, wishes, limits, scene.payload.mass, pause=scene.trajectory.dwell, loop=loop)
 
 
 def judged_scene(scene: Scene, wishes: PlanSection) -> Scene:
@@ -337,10 +336,10 @@ def checked_goals(scene: Scene) -> Goals:
         InputError: no motion can keep to the wishes; the message names the wish, its value and the remedy.
     """
     goals = goals_of(scene)
-    for each in goals.ways or (goals,):
+    for each in goals.ways:
         _check_way(each)
         check_holding_torque(each)
-        _check_duration(each)
+    _check_duration(goals)
     return goals
 
 
@@ -420,9 +419,8 @@ def _check_duration(goals: Goals) -> None:
     duration = goals.wishes.duration
     if duration is None:
         return
-    ways = goals.ways or (goals,)
-    turns = np.array([np.abs(np.diff(each.ends, axis=0)).max() for each in ways])
-    peaks = np.max([peak_rates(each.given.once.joints) for each in ways], axis=0)
+    turns = np.array([np.abs(np.diff(each.ends, axis=0)).max() for each in goals.ways])
+    peaks = np.max([peak_rates(each.given.once.joints) for each in goals.ways], axis=0)
     for k, name in enumerate(RATES):
         if name not in goals.limits:
             continue

@@ -9,7 +9,7 @@ over the bands, near the path.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -105,7 +105,7 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
     if np.hypot(*(goals.trace[-1] - goals.trace[0])) < RETURN:
         raise InputError("optimal control plans a motion from one place to another, and this one ends where it starts")
     motions, nodes, few = _ways(goals)
-    given = [each.given.once.joints for each in goals.ways or (goals,)]
+    given = [each.given.once.joints for each in goals.ways]
 
     def made(splines: Sequence[JointSpline]) -> Candidate:
         time = sum(each.duration for each in splines) + goals.rest
@@ -119,12 +119,11 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
         if goals.before:
             # near the best motions, if places and payloads have moved little
             yield "before", list(map(_moved, goals.before, map(_spline, given))), 0.0
-        ways, loads = limited(goals, found[0], few)
-        vibrating = {"residual": min(1.0, ways[0].limits.residual / optimal_control.LOOSE)}
+        problem = limited(goals, found[0], few)
+        vibrating = {"residual": min(1.0, problem.ways[0].limits.residual / optimal_control.LOOSE)}
         for share in _shares(goals, found[0]):
             wide = _timed([_spline(each, WIDE) for each in given], share)
-            key = ("optimal", share, "few")
-            tried = improver.best(key, *_from_motions(ways, loads, wide, vibrating), 0.0)
+            tried = improver.best(("optimal", share, "few"), problem.tightened(vibrating).begun(wide))
             if tried is None:
                 yield f"optimal from {share}, few payloads: no motion can be planned"
                 continue
@@ -134,22 +133,49 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
                 yield share, [_spline(each.trajectory()) for each in tried[0]], optimal_control.LOOSE
         # the best motion of other methods, if there is one
         others = [each for each in found if each.feasible and each.candidate.method != "given"]
-        if others and not goals.ways:
+        if others and not goals.cycle:
             best = min(others, key=lambda each: each.worst(goals.wishes.minimise))
             yield "other", [_spline(best.candidate.joints)], 0.0
 
-    limits = None
+    problem = None
     for start in starts():
         if isinstance(start, Candidate | str):
             yield start
             continue
         key, splines, loose = start
-        limits = limits or limited(goals, found[0], motions)
-        ways, _ = _from_motions(limits[0], {}, splines)
-        if (yield from improver.refined(("optimal", key), ways, limits[1], loose, gives_back=key != "before")):
+        problem = problem or limited(goals, found[0], motions)
+        begun = problem.begun(splines, loose)
+        if (yield from improver.refined(("optimal", key), begun, gives_back=key != "before")):
             break
     if goals.wishes.front:
         yield from _front(goals, found[0], motions, improver)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Limits for all robots, and first motions from which those that keep them are found.
+
+    Attributes:
+        ways: limits, robots and first motion of each way.
+        loads: limits of loads of the cycle, for each case.
+        loose: first bound of the residual vibration [m]; 0 where the first motions are near the best ones.
+    """
+
+    ways: Sequence[optimal_control.Way]
+    loads: Mapping[str, RealArray]
+    loose: float = 0.0
+
+    def begun(self, motions: Iterable[DesignedMotion], loose: float = 0.0) -> Problem:
+        """The problem with other first motions."""
+        ways = [replace(way, start=start) for way, start in zip(self.ways, motions, strict=True)]
+        return Problem(ways, self.loads, loose)
+
+    def tightened(self, factors: Mapping[str, float]) -> Problem:
+        """The problem with limits that are divided by factors, see `optimal_control.MotionLimits.tightened`."""
+        ways = [replace(way, limits=way.limits.tightened(factors)) for way in self.ways]
+        return replace(
+            self, ways=ways, loads={name: each / factors.get(name, 1.0) for name, each in self.loads.items()}
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,27 +200,24 @@ class Improver(Generic[Motion]):
     near: float = NEARLY
     tries: int = TRIES
 
-    def best(
-        self, key: tuple[Any, ...], ways: Sequence[optimal_control.Way], loads: Mapping[str, RealArray], loose: float
-    ) -> tuple[list[Motion], bool] | None:
+    def best(self, key: tuple[Any, ...], problem: Problem) -> tuple[list[Motion], bool] | None:
         """The best motions, from the journal or by optimal control, and whether their violations are small; None for none.
 
         Args:
             key: of the journal.
-            ways: the ways from their first motions on.
-            loads: limits of loads of the cycle.
-            loose: first bound of the residual vibration [m].
+            problem: limits and first motions.
 
         Raises:
             KeyboardInterrupt: after Ctrl-C, or of ``show``, with the candidate that there is so far, if there is one.
         """
+        ways, cases = problem.ways, range(len(problem.ways[0].cases))
 
         def found() -> Optimum:
-            last: optimal_control.Improvement | None = None
+            last: Any = None
             # few cases have no others between them
-            some = self.nodes if max(self.nodes) < len(ways[0].cases) else range(len(ways[0].cases))
+            some, loose = self.nodes if max(self.nodes) in cases else cases, problem.loose
             try:
-                for last in optimal_control.optimal_motion(ways, loads, some, loose=loose, aim=self.aim):
+                for last in optimal_control.optimal_motion(ways, problem.loads, some, loose=loose, aim=self.aim):
                     time = self.judge.goals.rest + sum(each.duration for each in last.motions)
                     self.show(f"{key[0]} over the bands: {time:.4g} s", None)
             except EquilibriumError:
@@ -202,61 +225,44 @@ class Improver(Generic[Motion]):
                 return None
             except KeyboardInterrupt:
                 # the best motion so far is judged all the same
-                motions: Any = () if last is None else last.motions
-                candidates = [replace(self.made(motions), label=INTERRUPTED)] if motions else []
+                candidates = [] if last is None else [replace(self.made(last.motions), label=INTERRUPTED)]
                 raise KeyboardInterrupt(*candidates) from None
-            if last is None:
-                return None
             return [each.variables.tolist() for each in last.motions], max(last.violations.values())
 
         kept = self.judge.journal.kept(key, Optimum, found)
         if kept is None:
             return None
-        starts: list[Any] = [way.start for way in ways]
-        variables = [np.array(each) for each in kept[0]]
-        motions = [start.moved(each - start.variables) for start, each in zip(starts, variables, strict=True)]
-        return motions, kept[1] < self.near
+        pairs: Any = zip((way.start for way in ways), kept[0], strict=True)
+        return [start.moved(np.array(each) - start.variables) for start, each in pairs], kept[1] < self.near
 
     def refined(
-        self,
-        key: tuple[Any, ...],
-        ways: Sequence[optimal_control.Way],
-        loads: Mapping[str, RealArray],
-        loose: float,
-        *,
-        gives_back: bool = True,
+        self, key: tuple[Any, ...], problem: Problem, *, gives_back: bool = True
     ) -> Generator[Candidate | str, None, tuple[list[Motion], Assessment] | None]:
         """Motions from one start on, each with limits corrected by what the FMU finds; returns the last ones as they were judged, if there are any.
 
         Args:
-            key, ways, loads, loose: as for `best`; the key begins those of the journal.
-            gives_back: whether what a motion leaves of the limits is given back.
+            key, problem: as for `best`; the key begins those of the journal.
+            gives_back: whether what a motion leaves of the limits is given back, once.
         """
-        last, is_first, is_free = None, gives_back, self.judge.goals.wishes.duration is None
+        last, is_free = None, self.judge.goals.wishes.duration is None
         for number in range(self.tries):
-            tried = self.best((*key, number), ways, loads, loose)
+            tried = self.best((*key, number), problem)
             if tried is None:
                 yield f"{' from '.join(map(str, key))}, try {number + 1}: no motion can be planned"
-                return last
+                break
             motions, is_near = tried
             candidate = self.made(motions)
             yield candidate
             if not is_near:
-                return last
-            judged = self.judge.assess(candidate)
-            excess, slower = excesses(judged), 1.0
-            last = motions, judged
-            if judged.feasible:
-                # what it leaves of the limits is given back once
-                left = reserves(judged) if is_first and is_free else {}
-                excess, is_first = left if min(left.values(), default=1.0) < FULL_RESIDUAL else {}, False
-            if not excess:
                 break
+            judged = self.judge.assess(candidate)
+            last, factors = (motions, judged), corrections(judged)
+            if not factors or (judged.feasible and not (gives_back and is_free)):
+                break
+            gives_back = gives_back and not judged.feasible
             # what the FMU finds beyond the limits is taken off them, from this motion on
-            if is_free and max((each for name, each in excess.items() if name != "residual"), default=1.0) > SLOWER:
-                slower = SLOWER
-            loose = 0.0
-            ways, loads = _from_motions(ways, loads, _timed(motions, slower), excess)
+            most = max((each for name, each in factors.items() if name != "residual"), default=1.0)
+            problem = problem.tightened(factors).begun(_timed(motions, SLOWER if is_free and most > SLOWER else 1.0))
         return last
 
 
@@ -279,7 +285,7 @@ def _front(
     """What is minimised for many levels of the front's other figures, each from the motion of the level before."""
     axes: list[str] = [each for each in goals.wishes.front if each != goals.wishes.minimise]
     own = {name: Limit(name, 1.0, "1", is_relative=True) for name in axes if name != "residual"}
-    unit_ways, unit_loads = limited(replace(goals, limits={**goals.limits, **own}), given, robots)
+    units = limited(replace(goals, limits={**goals.limits, **own}), given, robots)
     # from what the motion needs without these limits on, or from where the wishes end
     natural = dict.fromkeys(axes, 1.0)
     for name in own:
@@ -295,15 +301,15 @@ def _front(
         text = ", ".join(f"{name} {100.0 * share:.3g} %" for name, share in zip(axes, shares, strict=True))
         level = replace(improver, made=partial(_candidate, goals, f"front: {text}"), near=NEAR_FRONT, tries=2)
         if last is None:
-            usual_motions, loose = [way.start for way in unit_ways], optimal_control.LOOSE
+            usual_motions, loose = [way.start for way in units.ways], optimal_control.LOOSE
             starts = {share: _timed(usual_motions, share) for share in _shares(goals, given)}
         else:
             rises = [(before[name] / each) ** FRONT_TO[name][1] for name, each in factors.items()]
             slower = 1.0 if goals.wishes.duration is not None else max(*rises, 0.9)
             starts, loose = {slower: _timed(last[0], slower)}, 0.0
         for share, motions in starts.items():
-            ways, loads = _from_motions(unit_ways, unit_loads, motions, excess)
-            if found := (yield from level.refined(("front", number, share), ways, loads, loose, gives_back=False)):
+            problem = units.tightened(excess).begun(motions, loose)
+            if found := (yield from level.refined(("front", number, share), problem, gives_back=False)):
                 last, before = found, factors
                 break
         if last is None:
@@ -345,41 +351,26 @@ def _timed(motions: Sequence[DesignedMotion], share: float) -> list[DesignedMoti
     return [each.with_duration(share * each.duration) for each in motions]
 
 
-def _from_motions(
-    ways: Sequence[optimal_control.Way],
-    loads: Mapping[str, RealArray],
-    motions: Sequence[DesignedMotion],
-    excess: Mapping[str, float] | None = None,
-) -> tuple[list[optimal_control.Way], dict[str, RealArray]]:
-    """The ways from other motions on, with tighter limits."""
-    excess, pairs = excess or {}, zip(ways, motions, strict=True)
-    tight = [replace(way, limits=way.limits.tightened(excess), start=start) for way, start in pairs]
-    return tight, {name: each / excess.get(name, 1.0) for name, each in loads.items()}
-
-
 def _candidate(goals: Goals, label: str, splines: Sequence[JointSpline]) -> Candidate:
     """The motion or the cycle of these splines."""
-    pairs = zip(goals.ways or (goals,), splines, strict=True)
-    parts = [Candidate(label, "optimal control", each.scene, spline.trajectory()) for each, spline in pairs]
-    return replace(parts[0], ways=tuple(parts)) if goals.ways else parts[0]
+    return Candidate.of(goals, label, "optimal control", [each.trajectory() for each in splines])
 
 
 def _ways(goals: Goals) -> tuple[list[Robots], list[int], list[Robots]]:
     """The robots of each way in the scene's model and in a fuller one with the robot of every case, the programmes' cases, and the robots of
     the first motions."""
-    each_goals, nodes = goals.ways or (goals,), list[int]()
-    ways = [(list[RobotVariant](), list[NDArray[np.intp]]()) for _ in each_goals]
-    for count, few, fuller in zip(PAYLOADS, (optimal_control.NODES, FULLER_NODES), (False, True), strict=True):
-        variations = [each.variations(count) for each in each_goals]
-        scenes = [fuller_scene(each.scene) if fuller else each.scene for each in each_goals]
-        if scenes[0] is None:
+    ways, nodes = [(list[RobotVariant](), list[NDArray[np.intp]]()) for _ in goals.ways], list[int]()
+    every = [[each.variations(count) for each in goals.ways] for count in PAYLOADS]
+    scenes = [each.scene for each in goals.ways]
+    models = scenes, [fuller for each in scenes if (fuller := fuller_scene(each)) is not None]
+    for variations, few, of_model in zip(every, (optimal_control.NODES, FULLER_NODES), models, strict=True):
+        if not of_model:
             continue
         nodes += [sum(map(len, ways[0][1])) + k for k in nodes_of(max(variations, key=len), few)]
-        for (robots, cases), scene, own, of_case in zip(ways, scenes, variations, cases_of(variations), strict=True):
-            if scene is not None:
-                cases.append(len(robots) + of_case)
-                robots += robots_of(scene, own)
-    chosen = nodes_of(max((each.variations(PAYLOADS[0]) for each in each_goals), key=len), FEW)
+        for (robots, cases), scene, own, of_case in zip(ways, of_model, variations, cases_of(variations), strict=True):
+            cases.append(len(robots) + of_case)
+            robots += robots_of(scene, own)
+    chosen = nodes_of(max(every[0], key=len), FEW)
     first = [(robots, *np.unique(cases[0][chosen], return_inverse=True)) for robots, cases in ways]
     return (
         [(robots, np.concatenate(cases)) for robots, cases in ways],
@@ -393,29 +384,25 @@ def robots_of(scene: Scene, variations: Sequence[Variation]) -> list[RobotVarian
     return [RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in variations]
 
 
-def excesses(judged: Assessment) -> Mapping[str, float]:
-    """Factors above 1 by which limits of the programmes have to be tighter, and by how much ``clearance`` [m], after a motion's runs.
+def corrections(judged: Assessment) -> Mapping[str, float]:
+    """Factors by which limits of the programmes have to be tighter after a motion's runs, and by how much ``clearance`` [m].
 
-    Empty if the motion keeps all limits, and if it is too far off: through a wall, or where distances from the path are limited.
+    They are below 1 for what a motion within all limits leaves of those that bind it, empty if that is little, and if a motion is too far
+    off: through a wall, or where distances from the path are limited.
     """
-    missed = {use.figure: use for use in judged.uses if not use.met}
+    shares = {use.figure: use.share for use in judged.uses}
+    if judged.feasible:
+        left, binding = max(shares["residual"], 0.5) / FULL_RESIDUAL, ("torque", *LOADS)
+        active = {name: share / FULL for name, share in shares.items() if name in binding and ACTIVE < share < FULL}
+        return {**active, "residual": left} if left < FULL_RESIDUAL else {}
+    missed, found = {use.figure: use for use in judged.missed}, dict[str, float]()
     clearance = missed.pop("clearance", None)
     if "off_path" in missed or (clearance is not None and clearance.value > optimal_control.DEPTH):
         return {}
-    found = dict[str, float]()
-    for name, use in missed.items():
+    for name in missed:
         limit = {"motor_speed": "speed", "loop_residual": "residual"}.get(name, name)
-        found[limit] = max(found.get(limit, 1.0), min(SURE * use.share, 2.0 * use.share - 0.999))
+        found[limit] = max(found.get(limit, 1.0), min(SURE * shares[name], 2.0 * shares[name] - 0.999))
     return found if clearance is None else {**found, "clearance": SURE * clearance.value - clearance.limit}
-
-
-def reserves(judged: Assessment) -> Mapping[str, float]:
-    """Factors below 1 by which limits of the programmes, of which a motion within all limits uses less than it could, may be wider."""
-    shares = {use.figure: use.share for use in judged.uses}
-    active = [name for name, share in shares.items() if name in ("torque", *LOADS) and ACTIVE < share < FULL]
-    found = {name: shares[name] / FULL for name in active}
-    residual = max(shares["residual"], 0.5) / FULL_RESIDUAL
-    return found | ({"residual": residual} if residual < 1.0 else {})
 
 
 def fuller_scene(scene: Scene) -> Scene | None:
@@ -436,31 +423,28 @@ def nodes_of(variations: Sequence[Variation], count: int) -> list[int]:
     return [*optimal_control.spread(payloads, min(count, payloads)), *range(payloads, len(variations))]
 
 
-def limited(
-    goals: Goals, given: Assessment, motions: Sequence[Robots], *, walls: bool = False
-) -> tuple[list[optimal_control.Way], dict[str, RealArray]]:
-    """The ways with the goals' limits in numbers, for each robot relative to what the given motion or cycle needs in the same model, and
-    the limits of the cycle's loads for each case; with walls, what a way passes through counts by the way around it."""
+def limited(goals: Goals, given: Assessment, motions: Sequence[Robots], *, walls: bool = False) -> Problem:
+    """The problem from the given motions on with the goals' limits in numbers, for each robot relative to what the given motion or cycle needs in
+    the same model; with walls, what a way passes through counts by the way around it."""
     share, clear, quiet = RESERVE
     speed, acceleration, jerk = (goals.limit(name, np.full(2, given.worst(name))) for name in RATES)
-    drives, each_goals = goals.drives, goals.ways or (goals,)
+    drives = goals.drives
     if drives is not None and "motor_speed" in goals.limits:
         largest = np.array([each.maximum_speed / each.gear_ratio for each in drives.motors])
         speed = np.minimum(speed, largest * goals.limit("motor_speed", given.values["motor_speed"].max(axis=0)))
     names = ["torque", *(name for name in LOADS if name in goals.limits)]
-    needs = list[dict[str, RealArray]]()
-    for of_way, (robots, cases) in zip(each_goals, motions, strict=True):
-        needs.append({name: each[cases] for name, each in _given_loads(of_way, robots, names).items()})
+    pairs = list(zip(goals.ways, motions, strict=True))
+    needs = [(_given_loads(of_way, robots, names), cases) for of_way, (robots, cases) in pairs]
     # the largest of all ways, or their sum
-    usual, time = dict[str, RealArray](), sum(each.given.once.duration + each.pause for each in each_goals)
+    usual, time = dict[str, RealArray](), sum(each.given.once.duration + each.pause for each in goals.ways)
     for name in names:
-        of_ways = [each[name] for each in needs]
+        of_ways = [loads.need(name, 3 * GIVEN_STEPS)[cases] for loads, cases in needs]
         usual[name] = np.sum(of_ways, axis=0) if name in OF_CYCLE else np.max(of_ways, axis=0)
         if name in ROOTS:
             usual[name] = np.sqrt(usual[name] * weight_of_squares(name, time, drives)[0])
     limits = {name: share * goals.limit(name, each) for name, each in usual.items()}
     ways = []
-    for of_way, (robots, cases) in zip(each_goals, motions, strict=True):
+    for of_way, (robots, cases) in pairs:
         loads = dict[str, RealArray]()
         for name, limit in limits.items():
             if name not in OF_CYCLE:
@@ -473,11 +457,11 @@ def limited(
             goals.wishes.settled_within, drives, -clear * goals.wishes.margin,
         )  # fmt: skip
         ways.append(optimal_control.Way(robots, own, _spline(of_way.given.once.joints), cases))
-    return ways, {name: limit for name, limit in limits.items() if name in OF_CYCLE}
+    return Problem(ways, {name: limit for name, limit in limits.items() if name in OF_CYCLE})
 
 
-def _given_loads(goals: Goals, robots: Sequence[RobotVariant], names: Sequence[str]) -> dict[str, RealArray]:
-    """The largest loads of the given motion at an instant, (P, 2) or (P,), and what it adds to those of a cycle."""
+def _given_loads(goals: Goals, robots: Sequence[RobotVariant], names: Sequence[str]) -> Loads:
+    """The loads of the given motion."""
     joints = goals.given.once.joints
     first, last = joints.evaluate([0.0, joints.duration], 0, "right")[0]
     link_loads = tuple(name for name in LINK_LOADS if name in names)
@@ -488,8 +472,7 @@ def _given_loads(goals: Goals, robots: Sequence[RobotVariant], names: Sequence[s
     references = np.hstack(list(joints.evaluate(elastic.fractions * duration, 2, "left")))
     holding = joined([part.model.rest(last).torque for part in elastic.parts])
     still = goals.pause + joints.duration - duration
-    loads = Loads(elastic.respond(references, duration), holding, still, goals.drives, link_loads)
-    return {name: loads.need(name, 3 * GIVEN_STEPS) for name in names}
+    return Loads(elastic.respond(references, duration), holding, still, goals.drives, link_loads)
 
 
 def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:
@@ -516,13 +499,12 @@ def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: Sh
     ).motors
     variations = goals.variations(CORRECTED_FOR)
     robots = robots_of(goals.scene, variations)
-    (way,), loads = limited(goals, found[0], [(robots, np.arange(len(robots)))])
+    problem = limited(goals, found[0], [(robots, np.arange(len(robots)))])
     # near the path, and where a robot isn't, hardly further away
     response = FleetResponse(robots, motors.coefficients[0], motors.intervals).of_motion(motors, derivatives=False)
     width = max(NEAR_PATH * goals.wishes.margin, -GROWTH * float(_within(goals, 0.0, response.position)[0].min()))
-    limits = replace(
-        way.limits, distances=partial(_within, goals, width), clearance=0.0, residual=QUIET * goals.wishes.residual
-    )
+    way, quiet = problem.ways[0], QUIET * goals.wishes.residual
+    limits = replace(way.limits, distances=partial(_within, goals, width), clearance=0.0, residual=quiet)
     nodes = nodes_of(variations, optimal_control.NODES)
 
     def made(motions: Sequence[JointSpline], note: str = "") -> Candidate:
@@ -530,7 +512,7 @@ def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: Sh
         return Candidate(label, "flexible references", scene, motions[0].trajectory())
 
     improver = Improver(judge, made, nodes, "limits", show)
-    tried = improver.best(("flexible",), [replace(way, start=motors, limits=limits)], loads, 0.0)
+    tried = improver.best(("flexible",), Problem([replace(way, start=motors, limits=limits)], problem.loads))
     # without a correction the FMU judges whether they do
     yield made([motors], ", for the nominal payload") if tried is None else made(tried[0])
 

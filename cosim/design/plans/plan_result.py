@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,11 +106,13 @@ class DriveTable:
         units = self.unit, f"{self.unit}/s", f"{self.unit}/s2", "N.m"
         kinds = ("position", "velocity", "acceleration", "torque")
         names = [f"joint{j}.{kind} [{unit}]" for kind, unit in zip(kinds, units, strict=True) for j in (1, 2)]
-        lines, whole = [",".join(["time [s]", *names])], self.unit == "count"
-        for time, *rows in zip(self.time.tolist(), *self.values.tolist(), self.torque.tolist(), strict=True):
-            angles = [str(int(value)) if whole else f"{value:.12g}" for row in rows[:-1] for value in row]
-            lines.append(",".join([f"{time:.9g}", *angles, *(f"{value:.7g}" for value in rows[-1])]))
-        return "\n".join(lines) + "\n"
+        columns, angle = (
+            [self.time, *np.hstack([*self.values, self.torque]).T],
+            "%d" if self.unit == "count" else "%.12g",
+        )
+        text, formats = StringIO(), ["%.9g", *[angle] * 6, *["%.7g"] * 2]
+        np.savetxt(text, np.column_stack(columns), formats, ",", header=",".join(["time [s]", *names]), comments="")
+        return text.getvalue()
 
 
 @dataclass(frozen=True)
@@ -122,8 +125,8 @@ class RobustnessLine:
         where: that robot.
         torque_ratio: worst ratio of peak torques to the given motion's in the same model; NaN if it isn't compared.
         off_path: largest distance of the end effector from the given path [m]; NaN if it isn't known.
-        uses: use of each limit; empty if the limits aren't judged here.
         note: what else to know, in a few words.
+        missed: names of the limits that don't hold; None if the limits aren't judged here.
     """
 
     model: str
@@ -131,13 +134,8 @@ class RobustnessLine:
     where: str
     torque_ratio: float = math.nan
     off_path: float = math.nan
-    uses: tuple[Limit, ...] = ()
     note: str = ""
-
-    @property
-    def missed(self) -> tuple[str, ...]:
-        """Names of the limits that don't hold."""
-        return tuple(use.name for use in self.uses if not use.met)
+    missed: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,14 +188,22 @@ class PlanResult(Rows):
         return self.chosen.metrics
 
     @cached_property
+    def scenes(self) -> tuple[Scene, ...]:
+        """The scene with the chosen motion of each way; motions of the joints are in ``chosen.candidate``."""
+        found = list[Scene]()
+        for goals, way in zip(self.goals.ways, self.chosen.candidate.ways, strict=True):
+            scene = way.scene.replace({"payload.mass": goals.payload})
+            if goals.loop is not None:
+                # the motion, followed by the controllers
+                loop = with_learned_torques(goals.loop, way.joints, scene.trajectory.dwell)
+                scene = scene.model_copy(update={key: getattr(loop, key) for key in ("cosimulation", *LOOP_PARTS)})
+            found.append(scene)
+        return tuple(found)
+
+    @property
     def scene(self) -> Scene:
-        """The scene with the chosen motion; a motion of the joints is in ``chosen.candidate.trajectory``."""
-        scene, mass, loop = self.chosen.candidate.scene, self.goals.payload, self.goals.loop
-        if loop is not None:
-            # the motion, followed by the controllers
-            loop = with_learned_torques(loop, self.chosen.candidate.joints, scene.trajectory.dwell)
-            scene = scene.model_copy(update={key: getattr(loop, key) for key in ("cosimulation", *LOOP_PARTS)})
-        return scene if mass is None else scene.replace({"payload.mass": mass})
+        """The scene with the chosen motion, or the first one of a cycle; a motion of the joints is in ``chosen.candidate.trajectory``."""
+        return self.scenes[0]
 
     def drive_table(self, rate: float, unit: str = "rad", counts: float | None = None) -> DriveTable:
         """The chosen motion or cycle as a drive reads it.
@@ -213,13 +219,13 @@ class PlanResult(Rows):
         """
         check_drive(rate, unit, counts)
         per_radian = ANGLES[unit] if counts is None else counts * ANGLES["turn"]
-        values, torques, parts = list[RealArray](), list[RealArray](), list[Candidate]()
-        judge, candidate = self.judge, self.chosen.candidate
-        for goals, way in zip(judge.goals.ways or (judge.goals,), candidate.ways or (candidate,), strict=True):
+        values, torques, motions = list[RealArray](), list[RealArray](), list[Trajectory]()
+        candidate = self.chosen.candidate
+        for goals, way in zip(self.goals.ways, candidate.ways, strict=True):
             run = way.prepared(step=1.0 / rate).run()
             joints = run.plan.joints
             # up to the first sample at rest; in a cycle up to that before the next motion
-            pause, moving = goals.pause if candidate.ways else 0.0, math.ceil(joints.duration * rate - SHARE)
+            pause, moving = goals.pause if candidate.cycle else 0.0, math.ceil(joints.duration * rate - SHARE)
             steps = max(moving, math.ceil((joints.duration + pause) * rate - SHARE) - 1)
             instants = np.arange(steps + 1) / rate
             angles = per_radian * joints.evaluate(np.minimum(instants, joints.duration), 2, "right")
@@ -229,11 +235,12 @@ class PlanResult(Rows):
             torque = [np.interp(instants, recording.time, recording[f"joint{joint}.torque"].values) for joint in (1, 2)]
             torques.append(np.column_stack(torque))
             # the motion of a drive that goes through each sample by quintics
-            motion = spline(instants[: moving + 1], values[-1][:, : moving + 1] / per_radian, coordinates="joints")
-            parts.append(Candidate(f"{rate:g} samples a second", "csv", goals.scene, motion))
-        use, failures = judge.goals.limits["residual"], list[str]()
+            passed = values[-1][:, : moving + 1] / per_radian
+            motions.append(spline(instants[: moving + 1], passed, coordinates="joints"))
+        use, failures = self.goals.limits["residual"], list[str]()
         with noted(failures, "the robot can't follow them"):
-            use = judge.assess(replace(parts[0], ways=tuple(parts) if judge.goals.ways else ())).uses[0]
+            sampled = Candidate.of(self.goals, f"{rate:g} samples a second", "csv", motions)
+            use = self.judge.assess(sampled).uses[0]
         use = replace(use.used(math.inf, failures[0]) if failures else use, figure="residual of the samples")
         unit = unit if counts is None else "count"
         return DriveTable(rate, unit, np.concatenate(values, axis=1), np.concatenate(torques), use)
@@ -354,10 +361,8 @@ def planned_scenes(folder: Path) -> list[Scene]:
         InputError: there are none.
         SceneError: a scene can't be read.
     """
-    paths = [folder / FILE] if (folder / FILE).exists() else []
-    if not paths:
-        paths = sorted(folder.glob("planned-*.toml"), key=lambda path: int(path.stem.rpartition("-")[2]))
-    if not paths:
+    ways = sorted(folder.glob("planned-*.toml"), key=lambda path: int(path.stem.rpartition("-")[2]))
+    if not (paths := [*folder.glob(FILE)] or ways):
         raise InputError(f"{folder} has no {FILE} of an earlier plan: name the folder that `flexfmu plan` wrote to")
     return [load_scene(path) for path in paths]
 
@@ -376,38 +381,28 @@ def write_scene(result: PlanResult, path: Path) -> list[Path]:
         ResultsError: a file can't be written.
         TrajectoryError: the motion can't be written.
     """
-    chosen, paths = result.chosen.candidate, [path]
-    scenes = [(way.scene, way.trajectory) for way in chosen.ways] or [(result.scene, chosen.trajectory)]
-    if chosen.ways:
-        paths = [path.with_stem(f"{path.stem}-{number}") for number in range(1, len(scenes) + 1)]
-    return [each for one, there in zip(scenes, paths, strict=True) for each in _write_motion(result, *one, there)]
-
-
-def _write_motion(result: PlanResult, scene: Scene, trajectory: Trajectory | None, path: Path) -> list[Path]:
-    """Write the scene of a single motion, or of one way of a cycle."""
-    data = scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-    data["name"] = f"{scene.name}-planned"
-    if scene.effects.choice is not None and None in scene.effects.choice.error:
-        del data["effects"]["choice"]  # TOML has no null for errors that aren't estimated
-    written = list[Path]()
-    if trajectory is not None:
-        table = path.with_suffix(".csv")
-        moving: Coordinates = getattr(trajectory, "coordinates", "end-effector")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_table(table, trajectory, moving)
-        data["trajectory"] = {
-            "kind": "table", "file": table.name, "coordinates": moving, "degree": 7, "dwell": scene.trajectory.dwell
-        }  # fmt: skip
-        data.pop("shaper", None)
-        written.append(table)
-    chosen, given, (low, high) = result.chosen, result.given, result.goals.band
+    chosen, given, (low, high), written = result.chosen, result.given, result.goals.band, list[Path]()
     comments = (
         f"Planned by `flexfmu plan` for {result.goals.scene.name}: {chosen.candidate.label} ({chosen.candidate.method}).",
         f"Total time {chosen.time:.6g} s (given {given.time:.6g} s), residual vibration at most {1e6 * chosen.residual:.3g} um",
         f"(given {1e6 * given.residual:.3g} um) over payloads of {low:g} to {high:g} kg.",
         result.verdict[0].upper() + result.verdict[1:] + ".",
     )
-    return [write_new(data, path, comments), *written]
+    for number, (scene, way) in enumerate(zip(result.scenes, chosen.candidate.ways, strict=True), 1):
+        there = path.with_stem(f"{path.stem}-{number}") if chosen.candidate.cycle else path
+        changes: dict[str, Any] = {"name": f"{scene.name}-planned"}
+        sections, tables = dict[str, Any](), list[Path]()
+        if way.trajectory is not None:
+            table = there.with_suffix(".csv")
+            moving: Coordinates = getattr(way.trajectory, "coordinates", "end-effector")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_table(table, way.trajectory, moving)
+            changes["shaper"], tables = (), [table]
+            sections["trajectory"] = {
+                "kind": "table", "file": table.name, "coordinates": moving, "degree": 7, "dwell": scene.trajectory.dwell
+            }  # fmt: skip
+        written += [write_new(scene.model_copy(update=changes), there, comments, sections), *tables]
+    return written
 
 
 def write_plan(result: PlanResult, folder: Path) -> list[Path]:
@@ -456,10 +451,7 @@ def summary(result: PlanResult) -> dict[str, Any]:
         "verdict": result.verdict,
         "interrupted": result.interrupted,
         "failures": list(result.failures),
-        "robustness": [
-            {**{key: value for key, value in vars(line).items() if key != "uses"}, "missed": list(line.missed)}
-            for line in result.robustness
-        ],
+        "robustness": [{**vars(line), "missed": line.missed or ()} for line in result.robustness],
         "cpu_time": result.cpu_time,
     }
     plain: dict[str, Any] = pydantic_core.from_json(pydantic_core.to_json(data, inf_nan_mode="null"))
@@ -472,14 +464,23 @@ def plan_page(result: PlanResult) -> str:
     Raises:
         ResultsError: a run for the signals failed.
     """
-    tables = [summary_table(result), *ways_table(result), limits_table(result.chosen), front_table(result)]
-    tables += [tried_table(result), *robustness_table(result)]
+    note = f"No other motion found beats one of these in every figure of {', '.join(result.axes)}."
+    if len(result.table) > len(result.front):
+        note = "Motions that no other one beats in every figure, and for comparison those of other planners and files."
+    tried = sorted(result.assessed, key=lambda each: (each.excess, each.time))
+    missed = "Of what is missed, the largest share of its limit."
+    tables = [
+        *(summary_table(result), *ways_table(result), limits_table(result.chosen)),
+        motions_table(result, "Pareto front", result.table, note),
+        motions_table(result, "Motions that were tried", tried, missed, SHOWN[:2]),
+        *robustness_table(result),
+    ]
     caption = "The motions of the table. Dashed: the limit of the residual vibration."
     plots, compared = [result.front_plot(result.table, caption)], list[ComparedRun]()
-    every = result.goals.ways or (result.goals,)
-    for number, (goals, pair) in enumerate(zip(every, result.ways or [(result.given, result.chosen)], strict=True), 1):
-        runs = [each.candidate.prepared().run() for each in pair]
-        way = f", way {number}" if result.ways else ""
+    every = zip(result.goals.ways, result.given.candidate.ways, result.chosen.candidate.ways, strict=True)
+    for number, (goals, *pair) in enumerate(every, 1):
+        runs = [each.prepared().run() for each in pair]
+        way = f", way {number}" if result.goals.cycle else ""
         for name, run in zip(NAMES, runs, strict=True):
             compared.append(ComparedRun(f"{name}{way}", run.recording, measure_run(run), run.plan.duration))
         plots += [_path_plot(goals, runs, way), _references_plot(result, runs, way)]
@@ -557,21 +558,6 @@ def limits_table(found: Assessment) -> Table:
     return Table("Limits", header, rows, "Worst over all robots of the bands. Clearance: depth in the keep-out region.")
 
 
-def front_table(result: PlanResult) -> Table:
-    """The front and the motions to compare with, the fastest first."""
-    note = f"No other motion found beats one of these in every figure of {', '.join(result.axes)}."
-    if len(result.table) > len(result.front):
-        note = "Motions that no other one beats in every figure, and for comparison those of other planners and files."
-    return motions_table(result, "Pareto front", result.table, note)
-
-
-def tried_table(result: PlanResult) -> Table:
-    """All motions that were tried, those nearest to the limits first."""
-    tried = sorted(result.assessed, key=lambda each: (each.excess, each.time))
-    note = "Of what is missed, the largest share of its limit."
-    return motions_table(result, "Motions that were tried", tried, note, SHOWN[:2])
-
-
 def robustness_table(result: PlanResult) -> list[Table]:
     """The chosen motion in other models; nothing without them."""
     rows = []
@@ -579,7 +565,8 @@ def robustness_table(result: PlanResult) -> list[Table]:
         values = line.residual, line.torque_ratio, line.off_path
         factors = 1e6, 1.0, 1e3
         cells = ["-" if math.isnan(value) else f"{k * value:.3g}" for value, k in zip(values, factors, strict=True)]
-        limits = f"misses {', '.join(line.missed)}" if line.missed else "kept" if line.uses else line.note
+        kept = line.note if line.missed is None else "kept"
+        limits = f"misses {', '.join(line.missed)}" if line.missed else kept
         rows.append([line.model, cells[0], line.where, *cells[1:], limits])
     header = ["Model", "Residual [µm]", "Worst for", "Torque ratio", "Off path [mm]", "Limits"]
     note = "Torques are relative to the given motion's in the same model."

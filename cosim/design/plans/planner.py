@@ -139,22 +139,22 @@ def plan_scene(
         raise InputError(f"unknown method {', '.join(unknown)}; choose from {', '.join(METHODS)}")
     work, clock = processor_time(), monotonic()
     goals = checked_goals(scene)
-    count, is_optimal, named = len(goals.ways or (goals,)), "optimal" in methods, ", ".join(methods)
+    count, is_optimal, named = len(goals.ways), "optimal" in methods, ", ".join(methods)
     wrong = ""
     if before and len(before) != count:
         wrong = f"the earlier plan has {len(before)} motions, and this one {count}: warm starts are from as many ways"
     elif before and not is_optimal:
         wrong = "optimal control goes on from an earlier plan: choose the method optimal too, or start anew"
-    elif goals.ways and candidates:
+    elif goals.cycle and candidates:
         wrong = "motions of your own are compared with single motions: leave out `plan.cycle`, or the motions"
-    elif goals.ways and methods and not is_optimal:
+    elif goals.cycle and methods and not is_optimal:
         wrong = f"a cycle is planned by optimal control alone, not by {named}: choose it, or leave out `plan.cycle`"
     elif goals.wishes.front and not is_optimal:
         wrong = "`plan.front` is found by optimal control: choose the method optimal too, or leave out the front"
     if wrong:
         raise InputError(wrong)
     goals = replace(goals, before=tuple(plan(each).once.joints for each in before))
-    if goals.ways:
+    if goals.cycle:
         # other methods and models are for single motions
         methods, robust = [name for name in methods if name == "optimal"], False
     show("the given motion", None)
@@ -279,7 +279,8 @@ def _assessed(
     robot = {key: getattr(judge.goals.scene, key) for key in ("mechanism", "effects", "payload")}
     found = judge.assess(replace(fixed, scene=fixed.scene.model_copy(update=robot)))
     worst = str(found.robots[int(found.values["residual"].argmax())])
-    return RobustnessLine(name, found.residual, worst, found.torque_ratio, found.off_path, found.uses)
+    missed = tuple(use.name for use in found.missed)
+    return RobustnessLine(name, found.residual, worst, found.torque_ratio, found.off_path, missed=missed)
 
 
 def _by_elements(name: str, fixed: Candidate, scene: Scene) -> RobustnessLine:

@@ -141,7 +141,8 @@ def search(judge: Judge, found: Sequence[Assessment], processes: int, show: Show
     goals, journal, going = judge.goals, judge.journal, families(judge.goals)
     variations, aim = goals.variations(PAYLOADS[0]), goals.wishes.minimise
     robots = robots_of(goals.scene, variations), np.arange(len(variations))
-    (way,), loads = limited(goals, found[0], [robots], walls=True)
+    problem = limited(goals, found[0], [robots], walls=True)
+    (way,), loads = problem.ways, problem.loads
     best, random = list[FamilyMotion](), np.random.default_rng(goals.wishes.seed)
 
     def kept(
@@ -184,7 +185,7 @@ def search(judge: Judge, found: Sequence[Assessment], processes: int, show: Show
     is_free, last = goals.wishes.duration is None, None
     for slower in [STRETCH**k for k in range(STRETCHES)] if is_free else [1.0]:
         first = best[0].with_duration(slower * best[0].duration)
-        if last := (yield from improver.refined(("search", slower), [replace(way, start=first)], loads, 0.0)):
+        if last := (yield from improver.refined(("search", slower), problem.begun([first]))):
             break
     if last and is_free:
         # a slower one with less vibration

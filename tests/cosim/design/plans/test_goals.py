@@ -34,6 +34,7 @@ SCENE = load_scene("barnard2012-6kg")
         ({"minimise": "torque"}, "needs `duration`"),
         ({"duration": 0.3}, "contradict each other"),
         ({"minimise": "energy", "duration": 0.05}, "which a joint needs"),
+        ({"minimise": "energy", "duration": 0.5, "plan.cycle.pause": 0.2}, "rad and to rest for 0.4 s with"),
         ({"payload_band": [8.0, 4.0]}, "lightest and the heaviest"),
         ({"payload_band": 1.0}, "must be"),
         ({"residual": -1e-6}, "must be above 0"),

@@ -215,7 +215,7 @@ def test_rms_torques_of_the_given_motion_have_its_swing_as_in_the_fmu(dwell: flo
     )
     (usual,) = Judge(goals).given.values["rms_torque"]
     robots = [RobotVariant(goals.scene, each.changes(goals.scene), CompiledAtPoints) for each in goals.variations(1)]
-    squares = method._given_loads(goals, robots, ["rms_torque"])["rms_torque"][0]
+    squares = method._given_loads(goals, robots, ["rms_torque"]).need("rms_torque")[0]
     found = np.sqrt(squares / (goals.given.once.duration + dwell))
     assert found == pytest.approx(usual, rel=3e-3)
 
@@ -572,6 +572,17 @@ def test_a_cycle_goes_to_its_targets_and_back() -> None:
     assert [(way.scene.payload.mass, way.pause) for way in goals.ways] == [(6.0, 0.05), (3.0, 0.2), (0.0, 0.05)]
     with pytest.raises(InputError, match="stays at"):
         goals_of(CYCLE.replace({"plan.cycle.targets": [{"position": [-0.175, 0.32], "payload": 0.0}]}))
+
+
+def test_planned_scenes_carry_what_the_ways_do() -> None:
+    """Nothing too, where the models have the heaviest payload of the band."""
+    loads = {"payload.mass": 0.0, "plan.payload_band": [0.0, 1.0], "plan.cycle.return_payload": 2.0}
+    goals = goals_of(CYCLE.replace(loads))
+    candidate = Candidate.of(goals, "given", "given", [way.own for way in goals.ways])
+    found = Assessment(candidate, goals.variations(1), {}, {})
+    result = PlanResult(goals, found, found, (), (), False, 0.0)
+    assert [way.scene.payload.mass for way in goals.ways] == [1.0, 2.0]
+    assert [scene.payload.mass for scene in result.scenes] == [0.0, 2.0]
 
 
 SHORT = load_scene("barnard2012-6kg").replace(
