@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.goals import MET, RATES, Goals, Variation, peak_rates
+from flexfmu.cosim.design.plans.goals import RATES, Goals, Variation, peak_rates
 from flexfmu.cosim.design.plans.sampled_loop import completed, left_in_loop, with_learned_torques
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.experiment.metric import RunMetrics
@@ -143,11 +143,6 @@ def heading(figure: str) -> str:
     return f"{text[0].upper()}{text[1:]} [{definition(figure).display_unit}]"
 
 
-def shown(figure: str, value: float) -> str:
-    """A value [SI] as it is shown."""
-    return f"{definition(figure).displayed(value):.4g}"
-
-
 WHOLE: Mapping[str, str] = {"time": "whole motion", **dict.fromkeys(RATES, "references")}
 """Figures that robots and joints have in common → where they are."""
 
@@ -208,6 +203,10 @@ class Assessment:
         """The worst value of a figure within the bands, of both joints."""
         most = float(self.values[figure].max())
         return -most if figure == "clearance" else most
+
+    def shown(self, figure: str) -> str:
+        """That value as it is shown."""
+        return f"{definition(figure).displayed(self.worst(figure)):.4g}"
 
     time, residual, torque, rms_torque, power = map(_worst, ("time", "residual", "torque", "rms_torque", "power"))
     supply_power, regenerated_power, energy = map(_worst, ("supply_power", "regenerated_power", "energy"))
@@ -298,11 +297,11 @@ class Judge:
     def _of_cycle(self, ways: Sequence[Assessment]) -> tuple[Values, Values]:
         """What a cycle needs over all its ways and pauses, for each robot of the bands and what it carries on the other ways, and instants."""
         durations = np.array([way.time + goals.pause for way, goals in zip(ways, self.goals.ways, strict=True)])
-        starts, period, cases = (
-            np.cumsum(durations) - durations,
-            durations.sum(),
-            cases_of([each.robots for each in ways]),
-        )
+        starts, period = np.cumsum(durations) - durations, durations.sum()
+        cases = [
+            np.array([way.robots.index(each) for each in robots])
+            for way, robots in zip(ways, self.goals.cases(self.payloads), strict=True)
+        ]
         values, times = dict[str, RealArray](), dict[str, RealArray]()
         periodic, more = _left_vibration(self.goals, ways, cases)
         for name in ways[0].values:
@@ -330,27 +329,25 @@ class Judge:
         if candidate.cycle:
             values, times = self._of_cycle(self.of_ways(candidate))
         else:
-            prepared, joints, found = candidate.prepared(), candidate.joints, list[tuple[Values, Values]]()
+            prepared, joints, needs = candidate.prepared(), candidate.joints, list[tuple[Values, Values]]()
             for each in self.robots:
                 run = completed(prepared.run(each.changes(self.goals.scene)), f"{candidate.label} with {each}")
-                found.append(self._of_run(run))
+                needs.append(self._of_run(run))
             values, times = (
-                {name: np.array([each[name] for each in rows]) for name in rows[0]} for rows in zip(*found, strict=True)
+                {name: np.array([each[name] for each in rows]) for name in rows[0]} for rows in zip(*needs, strict=True)
             )
             # what all robots have in common
             for name, each in zip(("time", *RATES), (joints.duration, *peak_rates(joints)), strict=True):
                 values[name] = np.full((len(self.robots), 1), each)
         uses = [*self._uses(values, times, values if candidate.method == "given" else self.given.values)]
         if self.goals.loop is not None:
-            uses.append(self._in_the_loop(self.goals.loop, candidate))
+            # the residual vibration that the scene's controllers leave, with its own payload
+            dwell = candidate.scene.trajectory.dwell
+            loop = with_learned_torques(self.goals.loop, candidate.joints, dwell)
+            found, error = left_in_loop(loop, candidate.joints, dwell)
+            limit = replace(self.goals.limits["residual"], figure="loop_residual")
+            uses.append(limit.used(found, f"loop, {loop.payload.mass:g} kg, {error}"))
         return values, times, tuple(uses)
-
-    def _in_the_loop(self, scene: Scene, candidate: Candidate) -> Limit:
-        """The residual vibration that the scene's controllers leave, with its own payload."""
-        dwell = candidate.scene.trajectory.dwell
-        found, error = left_in_loop(with_learned_torques(scene, candidate.joints, dwell), candidate.joints, dwell)
-        where = f"loop, {scene.payload.mass:g} kg, {error}"
-        return Limit("loop_residual", self.goals.wishes.residual, "m", rounding=MET).used(found, where)
 
     def _of_run(self, run: Run) -> tuple[Values, Values]:
         """What the robot of a run needs by figure (1,), or (2,) of both joints, and instants of some figures."""
@@ -422,17 +419,6 @@ class Judge:
             # without a keep-out region there is no depth in it; on its outline it is 0
             if value != -math.inf:
                 yield limit.used(max(value, 0.0), WHOLE.get(name, f"{joint}{self.robots[place[0]]}{time}"))
-
-
-def cases_of(variations: Sequence[Sequence[Variation]]) -> list[NDArray[np.intp]]:
-    """Index (C,) of the robot of each way for every case: those of the way with most robots, and on other ways as near in payload as can be."""
-
-    def places(robots: Sequence[Variation]) -> RealArray:
-        heaviest = max(each.payload for each in robots) or 1.0
-        return np.array([(each.payload / heaviest, 1e3 * each.stiffness, 1e3 * each.damping) for each in robots])
-
-    cases = places(max(variations, key=len))[:, np.newaxis]
-    return [np.abs(cases - places(robots)).sum(axis=2).argmin(axis=1) for robots in variations]
 
 
 def _left_vibration(goals: Goals, ways: Sequence[Assessment], cases: Sequence[NDArray[np.intp]]) -> RealArray:

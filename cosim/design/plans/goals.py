@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise, product
@@ -198,14 +198,19 @@ class Goals:
 
     def variations(self, payloads: int) -> tuple[Variation, ...]:
         """Robots within the bands: a number of payloads, and the corners of the bands of stiffness and damping."""
+        return tuple(dict.fromkeys(self._variations(payloads)))
+
+    def cases(self, payloads: int) -> list[tuple[Variation, ...]]:
+        """The robots of each way, case by case: the payloads of a case are the same share of the bands of all ways."""
+        every = zip(*(each._variations(payloads) for each in self.ways), strict=True)
+        return list(zip(*dict.fromkeys(every), strict=True))
+
+    def _variations(self, payloads: int) -> Iterator[Variation]:
         low, high = self.band
-        masses = np.linspace(low, high, payloads).tolist() if high > low else [low]
-        found = [Variation(mass) for mass in masses]
+        yield from map(Variation, np.linspace(low, high, payloads).tolist())
         bands = self.wishes.stiffness_band, self.wishes.damping_band
-        stiffness, damping = ((1 - x, 1.0, 1 + x) if x else (1.0,) for x in bands)
-        corners = product(sorted({low, 0.5 * (low + high), high}), stiffness, damping)
-        found += [Variation(m, k, c) for m, k, c in corners if (k, c) != (1.0, 1.0)]
-        return tuple(found)
+        corners = product((low, 0.5 * (low + high), high), *((1 - x, 1.0, 1 + x) if x else (1.0,) for x in bands))
+        yield from (Variation(*each) for each in corners if each[1:] != (1.0, 1.0))
 
 
 def payload_band(scene: Scene, wishes: PlanSection) -> tuple[float, float]:

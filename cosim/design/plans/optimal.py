@@ -11,16 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import product
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, cases_of
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.clearance import RETURN
 from flexfmu.cosim.design.plans.goals import ONCE, RATES, Goals, Variation
 from flexfmu.cosim.engine.errors import InputError
@@ -86,8 +85,11 @@ QUIET, NEAR_PATH, GROWTH = 0.2, 0.9, 1.2
 
 Motion = TypeVar("Motion", bound=DesignedMotion)
 
-Robots = tuple[Sequence[RobotVariant], NDArray[np.intp]]
-"""Robots of a way, those of one scene behind each other, and the index of the robot of each case."""
+Robots = Sequence[RobotVariant]
+"""The robot of each case of a way, those of one scene behind each other; several cases may have the same."""
+
+Refined = Generator[Candidate | str, None, tuple[list[Motion], Assessment] | None]
+"""Yields motions, or why there is none, and returns the last ones as they were judged."""
 
 Optimum = tuple[list[list[float]], float] | None
 """What a journal has of motions: the variables of each, with their worst violation; None where there is no motion."""
@@ -114,39 +116,38 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
 
     improver = Improver(judge, made, nodes, goals.wishes.minimise, show)
 
-    def starts() -> Iterator[Candidate | str | tuple[str | float, list[JointSpline], float]]:
+    # what takes longest, when a first motion is there
+    whole = cache(lambda: limited(goals, found[0], motions))
+
+    def refined(key: str | float, splines: Sequence[JointSpline], loose: float = 0.0) -> Refined[JointSpline]:
+        problem = whole().begun(splines, loose=loose)
+        return improver.refined(("optimal", key), problem, gives_back=key != "before")
+
+    def from_start_to_start() -> Iterator[Candidate | str]:
+        # near the best motions, if places and payloads have moved little
+        if goals.before and (yield from refined("before", list(map(_moved, goals.before, map(_spline, given))))):
+            return
         # first motions with the first bound of the residual vibration, and what is found on the way to them
-        if goals.before:
-            # near the best motions, if places and payloads have moved little
-            yield "before", list(map(_moved, goals.before, map(_spline, given))), 0.0
         problem = limited(goals, found[0], few)
         vibrating = {"residual": min(1.0, problem.ways[0].limits.residual / optimal_control.LOOSE)}
         for share in _shares(goals, found[0]):
-            wide = _timed([_spline(each, WIDE) for each in given], share)
-            tried = improver.best(("optimal", share, "few"), problem.tightened(vibrating).begun(wide))
+            begun = problem.tightened(vibrating).begun([_spline(each, WIDE) for each in given], share)
+            tried = improver.best(("optimal", share, "few"), begun)
             if tried is None:
                 yield f"optimal from {share}, few payloads: no motion can be planned"
                 continue
             candidate = made(tried[0])
             yield replace(candidate, label=f"{candidate.label}, few payloads", is_rough=True)
-            if tried[1]:
-                yield share, [_spline(each.trajectory()) for each in tried[0]], optimal_control.LOOSE
+            splines = [_spline(each.trajectory()) for each in tried[0]]
+            if tried[1] and (yield from refined(share, splines, optimal_control.LOOSE)):
+                return
         # the best motion of other methods, if there is one
         others = [each for each in found if each.feasible and each.candidate.method != "given"]
         if others and not goals.cycle:
             best = min(others, key=lambda each: each.worst(goals.wishes.minimise))
-            yield "other", [_spline(best.candidate.joints)], 0.0
+            yield from refined("other", [_spline(best.candidate.joints)])
 
-    problem = None
-    for start in starts():
-        if isinstance(start, Candidate | str):
-            yield start
-            continue
-        key, splines, loose = start
-        problem = problem or limited(goals, found[0], motions)
-        begun = problem.begun(splines, loose)
-        if (yield from improver.refined(("optimal", key), begun, gives_back=key != "before")):
-            break
+    yield from from_start_to_start()
     if goals.wishes.front:
         yield from _front(goals, found[0], motions, improver)
 
@@ -165,9 +166,10 @@ class Problem:
     loads: Mapping[str, RealArray]
     loose: float = 0.0
 
-    def begun(self, motions: Iterable[DesignedMotion], loose: float = 0.0) -> Problem:
-        """The problem with other first motions."""
-        ways = [replace(way, start=start) for way, start in zip(self.ways, motions, strict=True)]
+    def begun(self, motions: Iterable[DesignedMotion], share: float = 1.0, loose: float = 0.0) -> Problem:
+        """The problem with other first motions, each in a share of its duration."""
+        starts = [each.with_duration(share * each.duration) for each in motions]
+        ways = [replace(way, start=start) for way, start in zip(self.ways, starts, strict=True)]
         return Problem(ways, self.loads, loose)
 
     def tightened(self, factors: Mapping[str, float]) -> Problem:
@@ -235,9 +237,7 @@ class Improver(Generic[Motion]):
         pairs: Any = zip((way.start for way in ways), kept[0], strict=True)
         return [start.moved(np.array(each) - start.variables) for start, each in pairs], kept[1] < self.near
 
-    def refined(
-        self, key: tuple[Any, ...], problem: Problem, *, gives_back: bool = True
-    ) -> Generator[Candidate | str, None, tuple[list[Motion], Assessment] | None]:
+    def refined(self, key: tuple[Any, ...], problem: Problem, *, gives_back: bool = True) -> Refined[Motion]:
         """Motions from one start on, each with limits corrected by what the FMU finds; returns the last ones as they were judged, if there are any.
 
         Args:
@@ -262,7 +262,7 @@ class Improver(Generic[Motion]):
             gives_back = gives_back and not judged.feasible
             # what the FMU finds beyond the limits is taken off them, from this motion on
             most = max((each for name, each in factors.items() if name != "residual"), default=1.0)
-            problem = problem.tightened(factors).begun(_timed(motions, SLOWER if is_free and most > SLOWER else 1.0))
+            problem = problem.tightened(factors).begun(motions, SLOWER if is_free and most > SLOWER else 1.0)
         return last
 
 
@@ -301,14 +301,13 @@ def _front(
         text = ", ".join(f"{name} {100.0 * share:.3g} %" for name, share in zip(axes, shares, strict=True))
         level = replace(improver, made=partial(_candidate, goals, f"front: {text}"), near=NEAR_FRONT, tries=2)
         if last is None:
-            usual_motions, loose = [way.start for way in units.ways], optimal_control.LOOSE
-            starts = {share: _timed(usual_motions, share) for share in _shares(goals, given)}
+            motions, starts, loose = [way.start for way in units.ways], _shares(goals, given), optimal_control.LOOSE
         else:
             rises = [(before[name] / each) ** FRONT_TO[name][1] for name, each in factors.items()]
             slower = 1.0 if goals.wishes.duration is not None else max(*rises, 0.9)
-            starts, loose = {slower: _timed(last[0], slower)}, 0.0
-        for share, motions in starts.items():
-            problem = units.tightened(excess).begun(motions, loose)
+            motions, starts, loose = [*last[0]], (slower,), 0.0
+        for share in starts:
+            problem = units.tightened(excess).begun(motions, share, loose)
             if found := (yield from level.refined(("front", number, share), problem, gives_back=False)):
                 last, before = found, factors
                 break
@@ -346,42 +345,31 @@ def _moved(before: Trajectory, given: DesignedMotion) -> JointSpline:
     return replace(spline, coefficients=coefficients + 2.0 * np.pi * turns)
 
 
-def _timed(motions: Sequence[DesignedMotion], share: float) -> list[DesignedMotion]:
-    """The motions, each in a share of its duration."""
-    return [each.with_duration(share * each.duration) for each in motions]
-
-
 def _candidate(goals: Goals, label: str, splines: Sequence[JointSpline]) -> Candidate:
     """The motion or the cycle of these splines."""
     return Candidate.of(goals, label, "optimal control", [each.trajectory() for each in splines])
 
 
 def _ways(goals: Goals) -> tuple[list[Robots], list[int], list[Robots]]:
-    """The robots of each way in the scene's model and in a fuller one with the robot of every case, the programmes' cases, and the robots of
-    the first motions."""
-    ways, nodes = [(list[RobotVariant](), list[NDArray[np.intp]]()) for _ in goals.ways], list[int]()
-    every = [[each.variations(count) for each in goals.ways] for count in PAYLOADS]
+    """The robots of each way in the scene's model and in a fuller one, the programmes' cases, and the robots of the first motions."""
     scenes = [each.scene for each in goals.ways]
-    models = scenes, [fuller for each in scenes if (fuller := fuller_scene(each)) is not None]
-    for variations, few, of_model in zip(every, (optimal_control.NODES, FULLER_NODES), models, strict=True):
-        if not of_model:
-            continue
-        nodes += [sum(map(len, ways[0][1])) + k for k in nodes_of(max(variations, key=len), few)]
-        for (robots, cases), scene, own, of_case in zip(ways, of_model, variations, cases_of(variations), strict=True):
-            cases.append(len(robots) + of_case)
-            robots += robots_of(scene, own)
-    chosen = nodes_of(max(every[0], key=len), FEW)
-    first = [(robots, *np.unique(cases[0][chosen], return_inverse=True)) for robots, cases in ways]
-    return (
-        [(robots, np.concatenate(cases)) for robots, cases in ways],
-        nodes,
-        [([robots[int(k)] for k in index], of_case) for robots, index, of_case in first],
-    )
+    fuller = [each for scene in scenes if (each := fuller_scene(scene)) is not None]
+    cases = goals.cases(PAYLOADS[0])
+    nodes, few = nodes_of(cases[0], optimal_control.NODES), nodes_of(cases[0], FEW)
+    ways = [robots_of(scene, each) for scene, each in zip(scenes, cases, strict=True)]
+    first: list[Robots] = [[robots[k] for k in few] for robots in ways]
+    if fuller:
+        cases = goals.cases(PAYLOADS[1])
+        nodes += [len(ways[0]) + k for k in nodes_of(cases[0], FULLER_NODES)]
+        pairs = zip(fuller, cases, strict=True)
+        ways = [robots + robots_of(*each) for robots, each in zip(ways, pairs, strict=True)]
+    return [*ways], nodes, first
 
 
 def robots_of(scene: Scene, variations: Sequence[Variation]) -> list[RobotVariant]:
-    """The robots of a scene within the bands."""
-    return [RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in variations]
+    """The robots of a scene within the bands; equal variations are one robot."""
+    robots = {each: RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in variations}
+    return [robots[each] for each in variations]
 
 
 def corrections(judged: Assessment) -> Mapping[str, float]:
@@ -423,7 +411,7 @@ def nodes_of(variations: Sequence[Variation], count: int) -> list[int]:
     return [*optimal_control.spread(payloads, min(count, payloads)), *range(payloads, len(variations))]
 
 
-def limited(goals: Goals, given: Assessment, motions: Sequence[Robots], *, walls: bool = False) -> Problem:
+def limited(goals: Goals, given: Assessment, of_ways: Sequence[Robots], *, walls: bool = False) -> Problem:
     """The problem from the given motions on with the goals' limits in numbers, for each robot relative to what the given motion or cycle needs in
     the same model; with walls, what a way passes through counts by the way around it."""
     share, clear, quiet = RESERVE
@@ -433,18 +421,19 @@ def limited(goals: Goals, given: Assessment, motions: Sequence[Robots], *, walls
         largest = np.array([each.maximum_speed / each.gear_ratio for each in drives.motors])
         speed = np.minimum(speed, largest * goals.limit("motor_speed", given.values["motor_speed"].max(axis=0)))
     names = ["torque", *(name for name in LOADS if name in goals.limits)]
-    pairs = list(zip(goals.ways, motions, strict=True))
-    needs = [(_given_loads(of_way, robots, names), cases) for of_way, (robots, cases) in pairs]
+    fleets = [[*dict.fromkeys(robots)] for robots in of_ways]
+    every = [np.array([fleet.index(each) for each in robots]) for fleet, robots in zip(fleets, of_ways, strict=True)]
+    needs = [_given_loads(of_way, fleet, names) for of_way, fleet in zip(goals.ways, fleets, strict=True)]
     # the largest of all ways, or their sum
     usual, time = dict[str, RealArray](), sum(each.given.once.duration + each.pause for each in goals.ways)
     for name in names:
-        of_ways = [loads.need(name, 3 * GIVEN_STEPS)[cases] for loads, cases in needs]
-        usual[name] = np.sum(of_ways, axis=0) if name in OF_CYCLE else np.max(of_ways, axis=0)
+        rows = [loads.need(name, 3 * GIVEN_STEPS)[cases] for loads, cases in zip(needs, every, strict=True)]
+        usual[name] = np.sum(rows, axis=0) if name in OF_CYCLE else np.max(rows, axis=0)
         if name in ROOTS:
             usual[name] = np.sqrt(usual[name] * weight_of_squares(name, time, drives)[0])
     limits = {name: share * goals.limit(name, each) for name, each in usual.items()}
     ways = []
-    for of_way, (robots, cases) in pairs:
+    for of_way, robots, cases in zip(goals.ways, fleets, every, strict=True):
         loads = dict[str, RealArray]()
         for name, limit in limits.items():
             if name not in OF_CYCLE:
@@ -499,7 +488,7 @@ def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: Sh
     ).motors
     variations = goals.variations(CORRECTED_FOR)
     robots = robots_of(goals.scene, variations)
-    problem = limited(goals, found[0], [(robots, np.arange(len(robots)))])
+    problem = limited(goals, found[0], [robots])
     # near the path, and where a robot isn't, hardly further away
     response = FleetResponse(robots, motors.coefficients[0], motors.intervals).of_motion(motors, derivatives=False)
     width = max(NEAR_PATH * goals.wishes.margin, -GROWTH * float(_within(goals, 0.0, response.position)[0].min()))

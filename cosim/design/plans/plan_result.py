@@ -17,7 +17,7 @@ import numpy as np
 import pydantic_core
 
 from flexfmu.cosim.design.limits import Limit
-from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, heading, noted, shown
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, heading, noted
 from flexfmu.cosim.design.plans.clearance import interpolated, lengths
 from flexfmu.cosim.design.plans.goals import INSTANTS, LOOP_PARTS, RATES, Goals
 from flexfmu.cosim.design.plans.sampled_loop import with_learned_torques
@@ -106,12 +106,9 @@ class DriveTable:
         units = self.unit, f"{self.unit}/s", f"{self.unit}/s2", "N.m"
         kinds = ("position", "velocity", "acceleration", "torque")
         names = [f"joint{j}.{kind} [{unit}]" for kind, unit in zip(kinds, units, strict=True) for j in (1, 2)]
-        columns, angle = (
-            [self.time, *np.hstack([*self.values, self.torque]).T],
-            "%d" if self.unit == "count" else "%.12g",
-        )
-        text, formats = StringIO(), ["%.9g", *[angle] * 6, *["%.7g"] * 2]
-        np.savetxt(text, np.column_stack(columns), formats, ",", header=",".join(["time [s]", *names]), comments="")
+        angle, text = "%d" if self.unit == "count" else "%.12g", StringIO()
+        columns, formats = [self.time[:, np.newaxis], *self.values, self.torque], ["%.9g", *[angle] * 6, *["%.7g"] * 2]
+        np.savetxt(text, np.hstack(columns), formats, ",", header=",".join(["time [s]", *names]), comments="")
         return text.getvalue()
 
 
@@ -165,10 +162,9 @@ class PlanResult(Rows):
     def __repr__(self) -> str:
         """Return the chosen motion beside the given one, in a few lines."""
         lines = [f"PlanResult of {self.goals.scene.name}: {self.chosen.candidate.label}"]
-        chosen, given = self.chosen.metrics, self.given.metrics
         for name in (*FRONT, "rms_torque", "power"):
             unit = definition(name).display_unit
-            lines.append(f"  {name}: {shown(name, chosen[name])} {unit} (given {shown(name, given[name])})")
+            lines.append(f"  {name}: {self.chosen.shown(name)} {unit} (given {self.given.shown(name)})")
         return "\n".join([*lines, f"  {self.verdict}"])
 
     @property
@@ -502,7 +498,8 @@ def summary_table(result: PlanResult) -> Table:
             continue
         one, other = (each.worst(name) for each in (result.given, result.chosen))
         ratio = f"{other / one:.3g}" if one else "-"
-        rows.append([f"{figure.label} [{figure.display_unit}]", shown(name, one), shown(name, other), ratio])
+        cells = result.given.shown(name), result.chosen.shown(name), ratio
+        rows.append([f"{figure.label} [{figure.display_unit}]", *cells])
     note = f"Worst of all robots within the bands; the motion may enter the keep-out region by {1e3 * result.goals.wishes.margin:g} mm."
     return Table("Planned motion", ["", *NAMES, "ratio"], rows, note)
 
@@ -525,13 +522,8 @@ def motions_table(
     rows = []
     for each in motions:
         names = [each.candidate.label, *([] if is_brief else [each.candidate.method])]
-        rows.append([*names, *_shown(each, figures), result.standing(each, 1 if is_brief else None)])
+        rows.append([*names, *map(each.shown, figures), result.standing(each, 1 if is_brief else None)])
     return Table(title, header, rows, note)
-
-
-def _shown(found: Assessment, figures: Sequence[str]) -> list[str]:
-    """The cells of figures."""
-    return [shown(name, found.worst(name)) for name in figures]
 
 
 def ways_table(result: PlanResult) -> list[Table]:
@@ -541,7 +533,7 @@ def ways_table(result: PlanResult) -> list[Table]:
         for name, each in zip(NAMES, pair, strict=True):
             masses = [robot.payload for robot in each.robots]
             payloads = dict.fromkeys(f"{mass:.4g}" for mass in (min(masses), max(masses)))
-            rows.append([f"{number}, {name}", " to ".join(payloads), *_shown(each, figures)])
+            rows.append([f"{number}, {name}", " to ".join(payloads), *map(each.shown, figures)])
     pauses = ", ".join(f"{goals.pause:g} s" for goals in result.goals.ways)
     header = ["Way", "Payloads [kg]", *map(heading, figures)]
     note = f"Each from rest, the worst of its payloads; pauses after them: {pauses}."

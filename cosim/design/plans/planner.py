@@ -201,8 +201,8 @@ def plan_scene(
             assess(candidate)
             chosen = best(found, goals.wishes.minimise)
             watched(f"{chosen.time:.4g} s, {1e6 * chosen.residual:.2g} µm: {chosen.candidate.label}", None)
-        chosen = best(found, goals.wishes.minimise)
-        for line in robustness(chosen.candidate, goals, journal=journal) if robust else ():
+        judged = best(found, goals.wishes.minimise).candidate
+        for line in robustness(judged, goals, journal=journal) if robust else ():
             show(f"the chosen motion in other models: {line.model}", None)
             lines.append(line)
     except KeyboardInterrupt as interruption:
@@ -253,11 +253,11 @@ def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOW
             return journal.kept(("robustness", name, content), RobustnessLine, made)
         return RobustnessLine(name, nan, "", note=failures[0])
 
-    for name, changes in RICHER.items():
-        yield line(name, _assessed, goals, changes, 1.0, 1.0)
-    for name, (stiffness, damping) in BANDS.items():
+    models = [(name, changes, 1.0, 1.0) for name, changes in RICHER.items()]
+    models += [(f"{RICHEST}{name}", richest, *factors) for name, factors in BANDS.items()]
+    for name, changes, stiffness, damping in models:
         if damping == 1.0 or not isinstance(effects.damping, NoDampingSection):
-            yield line(f"{RICHEST}{name}", _assessed, goals, richest, stiffness, damping)
+            yield line(name, _assessed, goals, changes, stiffness, damping)
     yield line("finite elements", _by_elements, goals.scene)
     if goals.loop is None:
         loop = USUAL_LOOP | {"effects.motor_inertia": effects.motor_inertia or MOTOR_INERTIA}
@@ -266,8 +266,11 @@ def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOW
             yield line(name, _in_a_loop, goals.scene, changes, goals.scene.payload.mass, ENCODERS)
         return
     own = with_learned_torques(goals.loop, candidate.joints, goals.scene.trajectory.dwell)
+    imperfections, known = own.model_dump(exclude_none=True)["imperfection"], own.payload.mass
     for mass in dict.fromkeys(goals.band):
-        yield line(f"the scene's loop, {mass:g} kg", _in_a_loop, own, _other_payload(own, mass), mass)
+        # a payload that its feedforward doesn't know
+        error = [{"kind": "payload-error", "relative": mass / known - 1.0}] if known else []
+        yield line(f"the scene's loop, {mass:g} kg", _in_a_loop, own, {"imperfection": [*imperfections, *error]}, mass)
 
 
 def _assessed(
@@ -299,14 +302,6 @@ def _by_elements(name: str, fixed: Candidate, scene: Scene) -> RobustnessLine:
     residual = float(np.hypot(*(found.position[after] - rest).T).max())
     note = f"{ELEMENTS} elements a link, peak torque {np.abs(found.torque).max():.4g} N·m"
     return RobustnessLine(name, residual, f"{scene.payload.mass:g} kg", note=note)
-
-
-def _other_payload(loop: Scene, mass: float) -> Mapping[str, Any]:
-    """Keys of the scene's own loop with a payload that its feedforward doesn't know."""
-    if not loop.payload.mass:
-        return {}
-    payload = {"kind": "payload-error", "relative": mass / loop.payload.mass - 1.0}
-    return {"imperfection": [*loop.model_dump(exclude_none=True)["imperfection"], payload]}
 
 
 def _in_a_loop(

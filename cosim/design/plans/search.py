@@ -140,8 +140,7 @@ def search(judge: Judge, found: Sequence[Assessment], processes: int, show: Show
     show("search: modes and limits", 0.0)
     goals, journal, going = judge.goals, judge.journal, families(judge.goals)
     variations, aim = goals.variations(PAYLOADS[0]), goals.wishes.minimise
-    robots = robots_of(goals.scene, variations), np.arange(len(variations))
-    problem = limited(goals, found[0], [robots], walls=True)
+    problem = limited(goals, found[0], [robots_of(goals.scene, variations)], walls=True)
     (way,), loads = problem.ways, problem.loads
     best, random = list[FamilyMotion](), np.random.default_rng(goals.wishes.seed)
 
@@ -184,8 +183,7 @@ def search(judge: Judge, found: Sequence[Assessment], processes: int, show: Show
     improver = Improver(judge, candidate, nodes_of(variations, NODES), aim, show)
     is_free, last = goals.wishes.duration is None, None
     for slower in [STRETCH**k for k in range(STRETCHES)] if is_free else [1.0]:
-        first = best[0].with_duration(slower * best[0].duration)
-        if last := (yield from improver.refined(("search", slower), problem.begun([first]))):
+        if last := (yield from improver.refined(("search", slower), problem.begun(best[:1], slower))):
             break
     if last and is_free:
         # a slower one with less vibration

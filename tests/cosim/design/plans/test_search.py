@@ -52,7 +52,7 @@ def first(goals: Goals) -> list[FamilyMotion]:
 def limited_way(goals: Goals, given: Assessment) -> tuple[Way, dict[str, RealArray]]:
     """The limits for three payloads, with those of the cycle's loads."""
     robots = robots_of(goals.scene, goals.variations(3))
-    problem = limited(goals, given, [(robots, np.arange(3))], walls=True)
+    problem = limited(goals, given, [robots], walls=True)
     (way,), loads = problem.ways, problem.loads
     return way, loads
 
