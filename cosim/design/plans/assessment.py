@@ -30,9 +30,9 @@ from flexfmu.cosim.metrics.metrics import RecordedPower, RecordedSignal, Recorde
 from flexfmu.cosim.metrics.motors import motor_loads
 from flexfmu.cosim.metrics.signals import POSITION, TORQUES, deviation_from_point, position
 from flexfmu.cosim.metrics.stress import link_stresses
-from flexfmu.model.reference_design import optimal_control
 from flexfmu.model.reference_design.elastic_response import ElasticResponse, Rest
 from flexfmu.model.reference_design.loads import OF_CYCLE, ROOTS, weight_of_squares
+from flexfmu.model.reference_design.optimal_control import LeftVibration, ResidualVibration, bounds
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
@@ -423,7 +423,7 @@ class Judge:
 
 def _left_vibration(goals: Goals, ways: Sequence[Assessment], cases: Sequence[NDArray[np.intp]]) -> RealArray:
     """Bounds (2, W, C, 1) [m] of each way's residual vibration in the periodic motion, and of its difference from that from rest."""
-    starts, ends = list[list[Rest]](), list[optimal_control.ResidualVibration]()
+    starts, ends = list[list[Rest]](), list[ResidualVibration]()
     states, transfers = list[RealArray](), list[RealArray]()
     for of_way, way in zip(goals.ways, ways, strict=True):
         motion, changes = way.candidate.joints, [each.changes(of_way.scene) for each in way.robots]
@@ -431,14 +431,12 @@ def _left_vibration(goals: Goals, ways: Sequence[Assessment], cases: Sequence[ND
         response = ElasticResponse(of_way.scene, changes, first, STEPS, CompiledAtPoints)
         references = np.hstack(list(motion.evaluate(response.fractions * motion.duration, 2, "left")))
         starts.append([response.model.rest(first)])
-        ends.append(optimal_control.ResidualVibration([response.model], last))
+        ends.append(ResidualVibration([response.model], last))
         states.append(ends[-1].away(response.respond(references, motion.duration).end))
         transfers.append(response.transfer(motion.duration))
-    pauses = [each.pause for each in goals.ways]
-    left = optimal_control.LeftVibration(starts, [end.rests for end in ends], pauses, cases)
+    left = LeftVibration(starts, [end.rests for end in ends], [each.pause for each in goals.ways], cases)
     left.renew(transfers)
     pairs = zip(ends, cases, left.periodic(states), states, strict=True)
-    bounds = optimal_control.bounds
     found = [[bounds(end.matrices[k], each) for each in (now, now - own[k])] for end, k, now, own in pairs]
     # where it grows from cycle to cycle, after many
     grown = np.maximum(left.growth, 1.0)[:, np.newaxis] ** CYCLES

@@ -322,8 +322,7 @@ def judged_scene(scene: Scene, wishes: PlanSection) -> Scene:
     if wishes.limits.reaction is not None:
         changes["effects.reactions"] = True
     # the payload is a parameter of the FMU if the scene has one
-    if not scene.payload.mass and (heaviest := payload_band(scene, wishes)[1]) > 0.0:
-        changes["payload.mass"] = heaviest
+    changes["payload.mass"] = scene.payload.mass or payload_band(scene, wishes)[1]
     return scene.replace(changes)
 
 
@@ -350,8 +349,8 @@ def checked_goals(scene: Scene) -> Goals:
 
 def _check_way(goals: Goals) -> None:
     """There must be a way from start to end within the workspace, around the user's regions, in which neither lies."""
-    for name, (x, y) in (("start", goals.trace[0]), ("end", goals.trace[-1])):
-        distance = float(goals.clearance.distance(np.array([[x, y]]))[0])
+    ends = goals.trace[[0, -1]]
+    for name, (x, y), distance in zip(("start", "end"), ends, goals.clearance.distance(ends), strict=True):
         if distance < -goals.wishes.margin:
             raise InputError(
                 f"`plan.keep_out` contains the {name} of the motion, ({x:g}, {y:g}) m, or with `links` one of them there, "
@@ -362,15 +361,11 @@ def _check_way(goals: Goals) -> None:
     mechanism = goals.scene.mechanism
     reach = mechanism.base_half_distance + mechanism.proximal.length + mechanism.distal.length
     side = np.linspace(-reach, reach, GRID)
-    points = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1)
-    flat = points.reshape(-1, 2)
-    kinematics = goals.given.kinematics
-    reachable = np.all([each.values > each.required for each in kinematics.margins(flat)], axis=0)
+    points = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+    reachable = np.all([each.values > each.required for each in goals.given.kinematics.margins(points)], axis=0)
     # half a cell: a narrow way isn't taken for blocked
-    free = reachable & (goals.clearance.distance(flat) > -goals.wishes.margin - 0.5 * (side[1] - side[0]))
-    start, end = (
-        int(np.argmin(np.hypot(*(flat - point).T) + np.where(free, 0.0, 1e3))) for point in goals.trace[[0, -1]]
-    )
+    free = reachable & (goals.clearance.distance(points) > -goals.wishes.margin - 0.5 * (side[1] - side[0]))
+    start, end = (np.argmin(np.hypot(*(points - point).T) + np.where(free, 0.0, 1e3)) for point in ends)
     parts = label(free.reshape(GRID, GRID), np.ones((3, 3)))[0].ravel()
     if not parts[start] == parts[end] > 0:
         raise InputError(
