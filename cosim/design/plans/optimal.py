@@ -153,7 +153,7 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class MotionProblem:
     """Limits for all robots, and first motions from which those that keep them are found.
 
     Attributes:
@@ -166,13 +166,13 @@ class Problem:
     loads: Mapping[str, RealArray]
     loose: float = 0.0
 
-    def begun(self, motions: Iterable[DesignedMotion], share: float = 1.0, loose: float = 0.0) -> Problem:
+    def begun(self, motions: Iterable[DesignedMotion], share: float = 1.0, loose: float = 0.0) -> MotionProblem:
         """The problem with other first motions, each in a share of its duration."""
         starts = [each.with_duration(share * each.duration) for each in motions]
         ways = [replace(way, start=start) for way, start in zip(self.ways, starts, strict=True)]
-        return Problem(ways, self.loads, loose)
+        return MotionProblem(ways, self.loads, loose)
 
-    def tightened(self, factors: Mapping[str, float]) -> Problem:
+    def tightened(self, factors: Mapping[str, float]) -> MotionProblem:
         """The problem with limits that are divided by factors, see `optimal_control.MotionLimits.tightened`."""
         ways = [replace(way, limits=way.limits.tightened(factors)) for way in self.ways]
         return replace(
@@ -202,7 +202,7 @@ class Improver(Generic[Motion]):
     near: float = NEARLY
     tries: int = TRIES
 
-    def best(self, key: tuple[Any, ...], problem: Problem) -> tuple[list[Motion], bool] | None:
+    def best(self, key: tuple[Any, ...], problem: MotionProblem) -> tuple[list[Motion], bool] | None:
         """The best motions, from the journal or by optimal control, and whether their violations are small; None for none.
 
         Args:
@@ -237,7 +237,7 @@ class Improver(Generic[Motion]):
         pairs: Any = zip((way.start for way in ways), kept[0], strict=True)
         return [start.moved(np.array(each) - start.variables) for start, each in pairs], kept[1] < self.near
 
-    def refined(self, key: tuple[Any, ...], problem: Problem, *, gives_back: bool = True) -> Refined[Motion]:
+    def refined(self, key: tuple[Any, ...], problem: MotionProblem, *, gives_back: bool = True) -> Refined[Motion]:
         """Motions from one start on, each with limits corrected by what the FMU finds; returns the last ones as they were judged, if there are any.
 
         Args:
@@ -411,7 +411,7 @@ def nodes_of(variations: Sequence[Variation], count: int) -> list[int]:
     return [*optimal_control.spread(payloads, min(count, payloads)), *range(payloads, len(variations))]
 
 
-def limited(goals: Goals, given: Assessment, of_ways: Sequence[Robots], *, walls: bool = False) -> Problem:
+def limited(goals: Goals, given: Assessment, of_ways: Sequence[Robots], *, walls: bool = False) -> MotionProblem:
     """The problem from the given motions on with the goals' limits in numbers, for each robot relative to what the given motion or cycle needs in
     the same model; with walls, what a way passes through counts by the way around it."""
     share, clear, quiet = RESERVE
@@ -446,7 +446,7 @@ def limited(goals: Goals, given: Assessment, of_ways: Sequence[Robots], *, walls
             goals.wishes.settled_within, drives, -clear * goals.wishes.margin,
         )  # fmt: skip
         ways.append(optimal_control.Way(robots, own, _spline(of_way.given.once.joints), cases))
-    return Problem(ways, {name: limit for name, limit in limits.items() if name in OF_CYCLE})
+    return MotionProblem(ways, {name: limit for name, limit in limits.items() if name in OF_CYCLE})
 
 
 def _given_loads(goals: Goals, robots: Sequence[RobotVariant], names: Sequence[str]) -> Loads:
@@ -501,7 +501,7 @@ def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: Sh
         return Candidate(label, "flexible references", scene, motions[0].trajectory())
 
     improver = Improver(judge, made, nodes, "limits", show)
-    tried = improver.best(("flexible",), Problem([replace(way, start=motors, limits=limits)], problem.loads))
+    tried = improver.best(("flexible",), MotionProblem([replace(way, start=motors, limits=limits)], problem.loads))
     # without a correction the FMU judges whether they do
     yield made([motors], ", for the nominal payload") if tried is None else made(tried[0])
 
