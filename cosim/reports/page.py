@@ -20,8 +20,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from flexfmu.cosim.metrics.metric_table import definition, display
 from flexfmu.cosim.reports.chart import MOST_POINTS, Panel
 
-WIDTH, HEIGHT = 374.4, 194.4
-"""Usual size of plots [pt]."""
+HEIGHT = 194.4
+"""Usual height of plots [pt]."""
 
 PIXELS, LEAST_HEIGHT = 1.25, 110
 """Pixels of a point, and least height of a panel [px]."""
@@ -194,8 +194,8 @@ class Page:
         lead: what the page is about.
         notices: what the reader must know first: sentence and details.
         has_failed: whether the first notice is of a failure.
-        first, first_title: plots on top, beside the sliders of a page that simulates, and their heading.
-        answers: heading, sentences and plots of what was asked for.
+        first: plots of the robot in motion, on top, beside the sliders of a page that simulates.
+        answers: sentences and plots on the accuracy that was asked for.
         folded: tables behind the plots, which a click opens.
         live: what the page simulates.
     """
@@ -209,8 +209,7 @@ class Page:
     notices: Sequence[tuple[str, str]] = ()
     has_failed: bool = False
     first: Sequence[Plot] = ()
-    first_title: str = "The robot in motion"
-    answers: tuple[str, Sequence[str], Sequence[Plot]] = ("", (), ())
+    answers: tuple[Sequence[str], Sequence[Plot]] = ((), ())
     folded: Sequence[Table] = ()
     live: Live = RECORDED
 
@@ -222,7 +221,7 @@ class Page:
     @property
     def points(self) -> int:
         """Largest number of points of a curve."""
-        plots = *self.first, *self.answers[2], *self.plots
+        plots = *self.first, *self.answers[1], *self.plots
         curves = sum(len(panel.curves) for plot in plots for panel in plot.panels)
         return LIVE_POINTS if self.live.packed else min(max(POINTS // max(curves, 1), FEWEST), MOST_POINTS)
 

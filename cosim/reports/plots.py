@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import floor, log10
 from typing import Any
 
 import numpy as np
@@ -127,9 +126,8 @@ def magnification(deviation: RealArray, length: float) -> float:
     largest = float(np.nanmax(np.linalg.norm(deviation, axis=1), initial=0.0))
     if largest < ROUNDING * length:
         return 1.0
-    wanted = VISIBLE * length / largest
-    power = 10.0 ** floor(log10(wanted)) if wanted > 1.0 else 1.0
-    return power * max(factor for factor in (1.0, 2.0, 5.0) if factor * power <= max(wanted, 1.0))
+    round_numbers = np.outer(10.0 ** np.arange(10), [1.0, 2.0, 5.0])
+    return float(round_numbers[round_numbers <= max(VISIBLE * length / largest, 1.0)].max())
 
 
 def path_panel(run: Run, magnification: float) -> Panel:

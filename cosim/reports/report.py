@@ -58,7 +58,7 @@ def report_page(summary: Mapping[str, Any], plots: Iterable[Plot], live: Live = 
         notices=list(_notices(summary)),
         has_failed=not completed or bool(instability(summary["health"])),
         first=[plot for plot in drawn if plot.key in FIRST_PLOTS],
-        answers=("Accuracy" if accuracy else "", accuracy, [plot for plot in drawn if plot.key.startswith(ACCURACY)]),
+        answers=(accuracy, [plot for plot in drawn if plot.key.startswith(ACCURACY)]),
         folded=list(_tables(summary)),
         live=live,
     )

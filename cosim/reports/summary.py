@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -73,12 +74,8 @@ def reference_facts(motion: MotionPlan) -> dict[str, float | str]:
 COARSE = 1e-5
 """Relative interpolation error of a metric above which the communication step counts as too coarse."""
 
-_FAMILIES: Mapping[str, str] = {
-    "proximal_bending": "Bending of the proximal links",
-    "proximal_axial": "Stretching of the proximal links",
-    "distal_bending": "Bending of the distal links",
-    "distal_axial": "Stretching of the distal links",
-}
+_DEFLECTIONS = {"bending": "Bending", "axial": "Stretching"}
+"""Family of modes → what links do."""
 
 PATH_KEYS = ("lift", "height", "width", "blend", "profile")
 """Keys of the scene's trajectory that describe its path and profile."""
@@ -180,10 +177,11 @@ def describe_effects(scene: Scene) -> dict[str, str]:
     """Return effect → sentence for all effects in the scene's model."""
     effects, found = scene.effects, {}
     # elastic links
-    for key, what in _FAMILIES.items():
+    for link, (family, what) in product(("proximal", "distal"), _DEFLECTIONS.items()):
+        key = f"{link}_{family}"
         modes = getattr(effects, key)
         if modes:
-            found[key] = f"{what}: {modes} {_SHAPES[effects.basis]}{'s' if modes > 1 else ''} each"
+            found[key] = f"{what} of the {link} links: {modes} {_SHAPES[effects.basis]}{'s' if modes > 1 else ''} each"
         if key in effects.quasi_static:
             found[key] += ", deflecting statically"
     if effects.beam == "timoshenko":

@@ -247,7 +247,9 @@ def draw_root_locus(poses: Sequence[PoseMargins], linear: Sequence[LinearLoop], 
     for ratio in RATIOS:
         z = np.exp(1j * turn - np.abs(turn) * ratio / np.sqrt(1.0 - ratio**2))
         curves.append(Curve(z.real, z.imag, "", GREY, 0.8 if ratio else 1.4, 0.5 if ratio else 1.0))
-        markers += [Marker(z[260].real, z[260].imag, colour=GREY, text=f"{ratio:g}", anchor="middle")] if ratio else []
+        # at a third of a turn, where few eigenvalues are
+        x, y = z[333].real, z[333].imag
+        markers += [Marker(x, y, colour=GREY, text=f"{ratio:g}", anchor="middle")] if ratio else []
     for k, (pose, loop) in enumerate(zip(poses, linear, strict=True)):
         factors = np.append(1.0, GAINS)[:, np.newaxis] * np.ones(len(loop.channels))
         now, *values = np.linalg.eigvals(loop.lifted.closed(factors))
