@@ -47,8 +47,8 @@ class DesignedMotion(Protocol):
         ...
 
     @property
-    def room(self) -> tuple[RealArray, RealArray]:
-        """Largest changes of the variables, down and up (m,)."""
+    def room(self) -> RealArray:
+        """Largest changes of the variables, down and up (2, m)."""
         ...
 
     def with_duration(self, duration: float) -> Self:
@@ -146,10 +146,9 @@ class JointSpline:
         return np.append(self.coefficients[REST:-REST].T, self.duration)
 
     @property
-    def room(self) -> tuple[RealArray, RealArray]:
+    def room(self) -> RealArray:
         """Largest changes of the variables: any."""
-        free = np.full(len(self.variables), np.inf)
-        return -free, free
+        return np.outer([-np.inf, np.inf], np.ones(len(self.variables)))
 
     def moved(self, change: RealArray) -> JointSpline:
         """Return the motion after a change of its variables (m,)."""

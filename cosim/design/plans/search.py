@@ -218,10 +218,10 @@ def improved(
             # a slower one may do
             motion = motion.with_duration(STRETCH * motion.duration)
             continue
-        (found,), missed = state.motions, state.violations
+        (found,), missed = state.motions, state.violations.values()
         load = "rms_torque" if aim == "residual" else aim
         effort = found.duration if aim == "time" else float(state.ways[0].loads.need(load).max())
-        cost = log(effort) + WORTH * float(missed.sum()) + (INFEASIBLE if missed.max() > NEARLY else 0.0)
+        cost = log(effort) + WORTH * sum(missed) + (INFEASIBLE if max(missed) > NEARLY else 0.0)
         return found.variables.tolist(), cost
     return None
 
@@ -410,10 +410,9 @@ class FamilyMotion:
         return np.append(self.numbers, self.duration)
 
     @property
-    def room(self) -> tuple[RealArray, RealArray]:
+    def room(self) -> RealArray:
         """Largest changes of the variables: numbers stay within their bounds."""
-        low, high = self.bounds - self.numbers
-        return np.append(low, -np.inf), np.append(high, np.inf)
+        return np.column_stack([self.bounds - self.numbers, [-np.inf, np.inf]])
 
     def with_duration(self, duration: float) -> FamilyMotion:
         """Return the motion with another duration."""
