@@ -15,7 +15,7 @@ import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import log, nan, sqrt
+from math import frexp, nan, sqrt
 from typing import Any
 
 import numpy as np
@@ -62,7 +62,7 @@ from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.sources import Sources, c_files
 from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, RUNTIME_FLAGS, WASM, find_compiler
-from flexfmu.fmu_build.trajectory_table import TrajectoryTable, tabulate
+from flexfmu.fmu_build.trajectory_table import tabulate
 from flexfmu.fmu_build.wasm_module import model_facts
 from flexfmu.model.scene.errors import EquilibriumError, SceneError, SceneWarning
 from flexfmu.model.scene.file import load_scene
@@ -92,47 +92,20 @@ SIGNALS = (
 BENDING = tuple(f"link{i}{j}.bending[" for i in (1, 2) for j in (1, 2))
 """Begins the names of the coordinates that bend the robot in motion."""
 
+ARRAYS = {"f": "Float64Array", "i": "BigInt64Array", "u": "Uint8Array"}
+"""Kind of numbers of eight bytes, or of bytes → what JavaScript has for them."""
+
 DIFFERENCES = 6
 """Order of the differences by which signals are packed."""
 
 TOLERANCES = (2e-13, 1e-11, 1e-9, 1e-7)
 """Of the motion between knots, relative to the largest value; the run's own references have all bits at its communication points."""
 
-EXPORTED = (
-    "fmi2Instantiate",
-    "fmi2SetupExperiment",
-    "fmi2EnterInitializationMode",
-    "fmi2ExitInitializationMode",
-    "fmi2FreeInstance",
-    "fmi2GetReal",
-    "fmi2SetReal",
-    "fmi2SetInteger",
-    "fmi2SetBoolean",
-    "wasm_callbacks",
-    "wasm_message",
-    "master_run",
-    "metrics_prepare",
-    "metrics_peak",
-    "metrics_products",
-    "metrics_parts",
-    "metrics_last_above",
-    "live_hermite",
-    "live_function",
-    "malloc",
-    "free",
-    "_initialize",
-)
-"""Functions that the page calls."""
-
-
 GUID = "{live}"
 """Of the FMU in the module."""
 
 SPREAD = 3.0
 """Largest factor of a slider's value, either way."""
-
-EXACT = 1e-9
-"""Largest deviation of a parameter's power from an integer that is rounding."""
 
 SWEPT_PLOTS = ("scene", "torques", "tracking", "deflections", "position", "dwell")
 """Plots of a swept scene, that of the robot first."""
@@ -143,7 +116,7 @@ class LiveRun:
     """What a page needs to simulate a run.
 
     Attributes:
-        facts: module and data for ``simulation.js``, as JSON has them; arrays are bytes. Empty if the run can't be simulated.
+        facts: module and data for ``simulation.js``, as JSON has them, and arrays of `ARRAYS`. Empty if the run can't be simulated.
         reason: why the run stays as recorded; empty if it doesn't.
     """
 
@@ -201,11 +174,12 @@ def simulating(
     known, content = dict[bytes, int](), bytearray()
 
     def pooled(data: Any) -> Any:
-        if isinstance(data, bytes):
-            if data not in known:
-                known[data] = len(content)
-                content.extend(data)
-            return {"at": known[data], "size": len(data)}
+        if isinstance(data, np.ndarray):
+            binary = data.tobytes()
+            if binary not in known:
+                known[binary] = len(content)
+                content.extend(binary)
+            return {"array": ARRAYS[data.dtype.kind], "at": known[binary], "size": len(binary)}
         if isinstance(data, Mapping):
             return {key: pooled(each) for key, each in data.items()}
         return [*map(pooled, data)] if isinstance(data, list | tuple) else data
@@ -344,7 +318,10 @@ def _simulated(run: Run, *, is_exact: bool) -> dict[str, Any]:
         }
     if not texts or root.find("CoSimulation") is None:
         raise InputError(f"{run.fmu_path.name} has no C sources")
-    return {**_facts(run, again, prepared, image, grid, root), "module": _compiled(texts, blocks)}
+    return {
+        **_facts(run, again, prepared, image, grid, root),
+        "module": np.frombuffer(_compiled(texts, blocks), np.uint8),
+    }
 
 
 def _tunable(scene: Scene) -> Scene:
@@ -383,12 +360,9 @@ def _compiled(texts: Mapping[str, str], blocks: Sequence[BlockSlave]) -> bytes:
     }
     own |= {f"block_{k}.c": f"/* {GUID} */\n{_block_code(k, each)}" for k, each in enumerate(blocks)}
     sources = Sources("live", GUID, "", generated | own, runtime | beside, {}, joined=joined)
-    compiler, exported = find_compiler(WASM), tuple(f"-Wl,--export={name}" for name in EXPORTED)
-    flags = tuple(flag for flag in compiler.platform.link_flags if "--export" not in flag)
-    platform = replace(compiler.platform, link_flags=(*flags, *exported))
     return compile_library(
         sources,
-        replace(compiler, platform=platform),
+        find_compiler(WASM),
         runtime_flags=(*RUNTIME_FLAGS, VECTORS),
         generated_flags=(*GENERATED_FLAGS, VECTORS),
     )
@@ -411,21 +385,14 @@ def _grid(prepared: PreparedScene, *, is_exact: bool) -> dict[str, Any]:
     """Knots of the joints' motion, from which a page forms the references at any communication points; and, if it is to be exact, the
     run's own points with the limits there.
 
-    Positions to order 6 (N, 7, axes) are all that there is, since velocities and accelerations share them.
-
     Raises:
         InputError: the polynomials aren't those that the page forms.
     """
     references = prepared.parts.references
-    knots = _knots(references.trajectory)
-    axes = knots.jets.shape[2]
-    found = {
-        "knots": _doubles(knots.times),
-        "knot_jets": _doubles(knots.jets),
-        "knot_scales": _doubles(_scales(np.diff(knots.times))),
-    }
+    times, jets = _knots(references.trajectory)
+    # positions, velocities and accelerations side by side, each with its derivatives
+    found = {"knots": {"times": times, "begins": np.concatenate([jets[:, k : k + ENDS] for k in range(3)], axis=2)}}
     parts: list[tuple[Any, ...]] = []
-    scales: list[RealArray] = []
     for block in prepared.simulator.schedule.grid.blocks():
         references.prepare(block.known)
         # the last point of a block is the first of the next
@@ -433,44 +400,30 @@ def _grid(prepared: PreparedScene, *, is_exact: bool) -> dict[str, Any]:
         if block.grid.recorded is not None:
             raise InputError("not all instants are recorded")
         announced, ended = references.announced[: block.steps + 1, :ENDS], references.ended[: block.steps + 1]
-        parts.append(
-            tuple(each[kept] for each in (block.grid.times, block.grid.marked, announced, ended, *block.grid.due))
-        )
         # powers by blocks as in the run: those of other lengths may be rounded otherwise
         widths = np.diff(block.known)
-        scales.append(_scales(widths)[: block.steps])
+        scales = hermite_scales(2 * ENDS, 2, widths).reshape(2 * ENDS, -1).T[: block.steps]
+        points = [each[kept] for each in (block.grid.times, block.grid.marked, announced, ended, *block.grid.due)]
+        parts.append((scales, *points))
         begins, ends = references.announced[:-1, :ENDS].swapaxes(0, 1), references.ended[1:].swapaxes(0, 1)
         formed = hermite_derivatives(begins, ends, widths[:, None]).swapaxes(0, 1)
         if not references.ends_exactly or not np.array_equal(formed, references.announced[:-1]):
             raise InputError("its motion has no four derivatives")
-    times, marked, announced, ended, *due = (np.concatenate(each) for each in zip(*parts, strict=True))
+    scales, times, marked, announced, ended, *due = (np.concatenate(each) for each in zip(*parts, strict=True))
     if not marked[0]:
         raise InputError("it begins in the middle of its motion")
     if not is_exact:
         return found
-
-    def jets(limits: RealArray) -> RealArray:
-        kinds = [limits[:, :, k * axes : (k + 1) * axes] for k in range(3)]
-        found = np.concatenate([kinds[0], kinds[1][:, -1:], kinds[2][:, -1:]], axis=1)
-        if any(not np.array_equal(found[:, k : k + ENDS], each) for k, each in enumerate(kinds)):
-            raise InputError("its references aren't derivatives of one another")
-        return found
-
     jumps = np.flatnonzero((announced != ended).any(axis=(1, 2)))
     return found | {
-        "times": _doubles(times),
-        "marked": marked.astype(np.uint8).tobytes(),
-        "due": [each.astype(np.uint8).tobytes() for each in due],
-        "scales": _doubles(np.concatenate(scales)),
-        "jets": _differences(jets(announced)),
+        "times": times,
+        "marked": marked.astype(np.uint8),
+        "due": [each.astype(np.uint8) for each in due],
+        "scales": scales,
+        "begins": _differences(announced),
         "jumps": jumps.tolist(),
-        "before": _doubles(jets(ended[jumps])),
+        "before": ended[jumps],
     }
-
-
-def _scales(widths: RealArray) -> RealArray:
-    """Powers of lengths (N,) over factorials, (N, 10), as Hermite polynomials need them."""
-    return hermite_scales(2 * ENDS, 2, widths).reshape(2 * ENDS, -1).T
 
 
 def _facts(
@@ -479,7 +432,8 @@ def _facts(
     """What the page knows beside the module, of a run and the same with tunable delays."""
     parts, schedule, recorder = prepared.parts, prepared.simulator.schedule, prepared.simulator.recorder
     model = model_facts(root)
-    task, plan = _knots(run.plan.task), run.plan
+    times, jets = _knots(run.plan.task)
+    plan = run.plan
     # starts as the FMU takes them, and where it rests at the end
     starts = dict(parts.plant.start_numbers)
     end, position = plan.end_pose
@@ -496,7 +450,7 @@ def _facts(
         "name": run.scene.name,
         "model": {"guid": GUID, "variables": model["variables"]},
         **_copied(run, prepared),
-        "image": bytes(image.data),
+        "image": np.frombuffer(image.data, np.uint8),
         **{name: getattr(image, name) for name in ("words", "advance", "exchange", "script", "handle", "channels")},
         "rows": rows,
         "starts": starts,
@@ -518,13 +472,9 @@ def _facts(
         ],
         "grid": grid,
         "metrics": {name: each.how for name, each in ALL_METRICS.items()},
-        "task": {"times": _doubles(task.times), "jets": _doubles(task.jets[:, :ENDS])},
+        "task": {"times": times, "begins": jets[:, :ENDS]},
         "analysis": {
-            str(m): {
-                "control": _doubles(control_matrices(m)[0]),
-                "highest": _doubles(control_matrices(m)[1]),
-                "quadratures": {str(k): [_doubles(each) for each in quadrature_of(m, k)] for k in (0, 2)},
-            }
+            m: {"matrices": control_matrices(m), "quadratures": {k: quadrature_of(m, k) for k in (0, 2)}}
             for m in (3, 5)
         },
     }
@@ -638,23 +588,18 @@ def _powers(
     scene: Scene, motion: MotionPlan | None, key: str, value: float, laws: Sequence[Any], own: Mapping[str, Variable]
 ) -> dict[str, int]:
     """Parameter of a block → the power of a key's value that it is proportional to; empty if the key changes anything else."""
-    found: list[dict[str, float]] = []
-    for factor in (1.1, 1.21):
-        try:
-            others, changed = _loop(scene.replace({key: factor * value}), motion)
-        except (SceneError, CosimError):
-            return {}
-        ratios = {
-            name: (each.start or 0.0) / (own[name].start or nan)
-            for name, each in changed.items()
-            if name in own and each != own[name]
-        }
-        if others != laws or not all(ratio > 0.0 for ratio in ratios.values()):
-            return {}
-        found.append({name: log(ratio) / log(factor) for name, ratio in ratios.items()})
-    powers = {name: round(power) for name, power in found[0].items()}
-    exact = all(abs(each.get(name, nan) - power) < EXACT for each in found for name, power in powers.items())
-    return powers if exact and all(powers.values()) else {}
+    # half the value halves what is proportional to it, to the last bit
+    try:
+        others, changed = _loop(scene.replace({key: 0.5 * value}), motion)
+    except (SceneError, CosimError):
+        return {}
+    ratios = {
+        name: frexp((own[name].start or nan) / (each.start or nan))
+        for name, each in changed.items()
+        if name in own and each != own[name]
+    }
+    is_power = others == laws and all(fraction == 0.5 and exponent != 1 for fraction, exponent in ratios.values())
+    return {name: exponent - 1 for name, (_, exponent) in ratios.items()} if is_power else {}
 
 
 def _span(scene: Scene, key: str, value: float) -> tuple[float, float]:
@@ -689,16 +634,19 @@ def _copied(run: Run, prepared: PreparedScene) -> dict[str, Any]:
     own = {name: value for name, value in run.parameters.items() if prepared.parts.changes.get(name) != value}
     if scene.has_objects or _has_object(run) or own.keys() - keys.keys():
         return {"scene": None, "origin": ""}
-    changes: dict[str, Any] = {}
-    if run.communication_step != section.communication_step:
-        changes["cosimulation.step"] = run.communication_step
-    if run.tolerance != section.tolerance:
-        changes["cosimulation.tolerance"] = run.tolerance
+    changes: dict[str, Any] = {
+        f"cosimulation.{key}": here
+        for key, here, there in (
+            ("step", run.communication_step, section.communication_step),
+            ("tolerance", run.tolerance, section.tolerance),
+        )
+        if here != there
+    }
     if own:
         kept = scene.model_dump(exclude_none=True)["imperfection"]
         real = {keys[name]: value for name, value in own.items()}
         changes["imperfection"] = [*kept, {"kind": "parameter-error", "parameters": real}]
-    scene = scene.replace(changes) if changes else scene
+    scene = scene.replace(changes)
     short = scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     short["effects"].pop("choice", None)
     return {"scene": short, **_origin(scene)}
@@ -743,29 +691,25 @@ def _divergence(run: Run) -> dict[str, float]:
     return sizes | {"growth": GROWTH_AT_REST, "lasting": LASTING}
 
 
-def _knots(trajectory: Trajectory) -> TrajectoryTable:
-    """Knots of a motion, as accurate as can be.
+def _knots(trajectory: Trajectory) -> tuple[RealArray, RealArray]:
+    """Times (K,) and jets (K, 7, axes) of the knots of a motion, as accurate as can be; it rests at the last.
 
     Raises:
         InputError: no knots reproduce it.
     """
     for tolerance in TOLERANCES:
         try:
-            return tabulate(trajectory, tolerance)
+            table = tabulate(trajectory, tolerance)
         except ModelError:
             continue
+        rest = np.zeros_like(table.jets[:1])
+        rest[:, 0] = table.jets[-1:, 0]
+        return np.append(table.times, table.times[-1]), np.concatenate([table.jets, rest])
     raise InputError("its motion isn't smooth enough for a table")
 
 
-def _differences(signals: RealArray) -> bytes:
-    """Bits of signals (N, ...) as their differences of order 6 over the instants, signs last: of what is smooth they are small, and
-    pack to half of the numbers."""
-    bits = np.ascontiguousarray(np.moveaxis(signals, 0, -1)).view(np.int64)
-    bits = np.diff(bits, DIFFERENCES, prepend=np.zeros((*bits.shape[:-1], DIFFERENCES), np.int64))
-    return _doubles(((bits << 1) ^ (bits >> 63)).view(np.float64))
-
-
-def _doubles(values: Any) -> bytes:
-    """Doubles with equal bytes together, which packs better."""
-    flat = np.ascontiguousarray(values, dtype="<f8").reshape(-1)
-    return flat.view(np.uint8).reshape(-1, 8).T.tobytes()
+def _differences(signals: RealArray) -> list[Any]:
+    """Each of the signals (N, ...) as the differences of its bits, of order 6 over the instants: of what is smooth they are small. Equal
+    ones, as velocities are derivatives of positions, lie in a page once."""
+    bits = np.ascontiguousarray(signals.reshape(len(signals), -1).T).view(np.int64)
+    return [*np.diff(bits, DIFFERENCES, prepend=np.zeros((len(bits), DIFFERENCES), np.int64))]

@@ -147,7 +147,7 @@
           }
           if (chart.key === "dwell") each.xLimits = [one.duration, one.time[one.size - 1]];
         }
-        chart.redraw(true);
+        chart.redraw();
       });
     }
     referenced = `${chosen} ${one.grid.key}`;

@@ -62,36 +62,29 @@ const page = (() => {
         font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif", label, labelSize: label ? 18 : 0, size, labelGap: 0,
       });
       const label = this.label.replace("\n", " "), x = axisOf(this.isLast ? chart.x : "", this.isLast ? 34 : 12), y = axisOf(label, 58);
-      if (!this.isLast) x.values = (_, splits) => splits.map(() => "");
-      // on logarithmic axes 1, 2 and 5 of few decades, of many those that there is room for
-      const power = (v) => Math.floor(Math.log10(v) + 1e-9);
-      const ticks = (axis, room) => (_, splits) => {
-        const [low, high] = this.shown[axis], decades = Math.log10(high / low), every = Math.ceil(decades / room);
-        const mantissa = (v) => +(v / 10 ** power(v)).toFixed(6), isShown = (v) => !this.log[axis] || decades < 1 || (mantissa(v) === 1 ? power(v) % every === 0 : every === 1 && decades < 3 && [2, 5].includes(mantissa(v)));
-        return splits.map((v) => (v === null || !isShown(v) ? "" : short(v, this.digits(axis))));
-      };
-      y.values = ticks("y", (toScale ? 200 : chart.height) / 20);
-      // logarithmic axes within a decade have the ticks of linear ones
-      const splits = (_, place, low, high, step) => {
-        if (high < 10 * low) return Array.from({ length: Math.floor(high / step) - Math.ceil(low / step) + 1 }, (_, n) => +((Math.ceil(low / step) + n) * step).toPrecision(12));
-        const powers = Array.from({ length: power(high) - power(low) + 1 }, (_, n) => power(low) + n);
-        return powers.flatMap((p) => [1, 2, 3, 4, 5, 6, 7, 8, 9].map((m) => +`${m}e${p}`)).filter((v) => v >= low && v <= high);
-      };
-      if (this.log.x) Object.assign(x, { splits, filter: (_, all) => all });
-      if (this.log.y) Object.assign(y, { splits, filter: (_, all) => all });
+      // logarithmic axes have the ticks of linear ones within a decade, 1, 2 and 5 of few decades, of many the powers that there is room for
+      const ticks = (axis, room) => ({
+        values: (_, splits) => splits.map((v) => short(v, this.digits(axis))),
+        ...(this.log[axis] && { filter: (_, all) => all, splits: (_, place, low, high, step) => {
+          if (high < 10 * low) return Array.from({ length: Math.floor(high / step) - Math.ceil(low / step) + 1 }, (_, n) => +((Math.ceil(low / step) + n) * step).toPrecision(12));
+          const first = Math.floor(Math.log10(low) + 1e-9), decades = Math.log10(high / low), every = Math.ceil(decades / room);
+          const powers = Array.from({ length: Math.ceil(decades) + 2 }, (_, n) => first + n).filter((p) => p % every === 0);
+          return powers.flatMap((p) => (decades < Math.min(room, 3) ? [1, 2, 5] : [1]).map((m) => +`${m}e${p}`)).filter((v) => v >= low && v <= high);
+        } }),
+      });
+      Object.assign(y, ticks("y", (toScale ? 200 : chart.height) / 20));
+      Object.assign(x, ticks("x", (width - 86) / 50), this.isLast ? {} : { values: (_, splits) => splits.map(() => "") });
       // as wide as the numbers of all panels, which have more digits after a zoom
       if (!toScale) y.size = (_, texts) => { this.room = 28 + 6.8 * Math.max(...(texts ?? []).map((each) => each.length)); return chart.room; };
-      if (this.isLast) x.values = ticks("x", (width - 86) / 50);
       x.space = () => Math.max(50, 8 * this.digits("x") + 10);
-      this.whole = { x: chart.limits, y: this.limits("y") };
       // panels are equally high, and the last one has the axis below
       const height = toScale ? this.scaled(width) : chart.height + (this.isLast && this.number ? 40 : 0);
       const scale = (axis) => ({ time: false, auto: false, distr: this.log[axis] ? 3 : 1, range: () => this.shown[axis] });
-      this.shown = { ...this.whole };
+      this.shown ??= this.whole;
       this.plot?.destroy();
       this.plot = new uPlot({
         width, height, padding: [8, 20, 0, 0], legend: { show: false }, scales: { x: scale("x"), y: scale("y") }, axes: [x, y],
-        mode: 2, pxAlign: 0, series: [null, ...this.lines.flatMap((c) => [this.series(c), this.series(c, true)])],
+        mode: 2, pxAlign: 0, series: [null, ...this.lines.map((c) => this.series(c))],
         cursor: { y: !this.is_function, points: { show: false }, dataIdx: () => null, drag: { x: true, y: !this.is_function, setScale: false, uni: 10 }, bind: { dblclick: () => () => (chart.reset(), null) } },
         hooks: {
           draw: [() => this.draw()], setCursor: [(u) => u.cursor.event && this.pointed(u)],
@@ -110,15 +103,14 @@ const page = (() => {
       return this.log[axis] ? 5 : clamp(Math.ceil(Math.log10(Math.max(Math.abs(low), Math.abs(high)) / (high - low))) + 3, 5, 15);
     }
     get lines() { return this.curves.filter((c) => !(c.group === "pose" && this.motion)); }
-    series({ off, width, opacity, dashes, colour: name }, isGhost = false) {
-      const look = isGhost ? { width: 1, dash: [2, 3], alpha: 0.6 } : { width, dash: dashes, alpha: opacity }, facet = (scale) => ({ scale, auto: false });
-      return { show: !off && width > 0, stroke: () => colour(name), points: { show: false }, paths: uPlot.paths.linear(), facets: [facet("x"), facet("y")], ...look };
+    series({ off, width, opacity, dashes, colour: name }) {
+      const facet = (scale) => ({ scale, auto: false });
+      return { show: !off && width > 0, stroke: () => colour(name), points: { show: false }, paths: uPlot.paths.linear(), facets: [facet("x"), facet("y")], width, dash: dashes, alpha: opacity };
     }
-    // the curves for uPlot, and those of the recording behind them; where there is no value a curve is broken
+    // the curves for uPlot; where there is no value a curve is broken
     data() {
-      const broken = (values, isLog) => (values.every((v) => isFinite(v) && (!isLog || v > 0)) ? values : Array.from(values, (v) => (isFinite(v) && (!isLog || v > 0) ? v : null)));
-      const drawn = (c) => (c ? [c.x, broken(c.y, this.log.y)] : [[], []]);
-      return [null, ...this.lines.flatMap((c) => [drawn(c), drawn(c.ghost)])];
+      const isThere = (v) => isFinite(v) && (!this.log.y || v > 0), broken = (values) => (values.every(isThere) ? values : Array.from(values, (v) => (isThere(v) ? v : null)));
+      return [null, ...this.lines.map((c) => [c.x, broken(c.y)])];
     }
     // the height at which both axes have one scale, and limits that fit it
     scaled(width) {
@@ -165,6 +157,8 @@ const page = (() => {
         if (!isFinite(x) || !isFinite(y)) continue;
         if (c.dot === "disc") disc(x, y, 6, c.colour); else for (const s of [1, -1]) line([[x - 4 * ratio, y - 4 * s * ratio], [x + 4 * ratio, y + 4 * s * ratio]], c.colour, 1.6);
       }
+      // those of the recording
+      for (const { ghost, off, colour: name } of this.lines) if (ghost && !off) line(Array.from(ghost.x, (x, i) => [at(x, "x"), at(ghost.y[i], "y")]), name, 1, [2, 3], 0.6);
       for (const m of this.markers) {
         if (m.group === "pose" && this.motion) continue;
         const x = at(m.x, "x"), y = at(m.y, "y");
@@ -202,16 +196,17 @@ const page = (() => {
       const { plot: u, chart } = this, x = [u.posToVal(left, "x"), u.posToVal(left + width, "x")];
       if (this.is_function) return chart.zoom(x);
       if (height < 5) return;
-      let y = [u.posToVal(top + height, "y"), u.posToVal(top, "y")];
-      if (this.is_to_scale) { const middle = (y[0] + y[1]) / 2, half = (x[1] - x[0]) / (this.shown.x[1] - this.shown.x[0]) * (this.shown.y[1] - this.shown.y[0]) / 2; y = [middle - half, middle + half]; }
-      this.show(x, y);
-      chart.isZoomed(true);
+      this.show(x, [u.posToVal(top + height, "y"), u.posToVal(top, "y")]);
+      chart.button.hidden = false;
     }
-    show(x, y, isNew = false) {
-      this.shown = { x: x ?? this.whole.x, y: y ?? (x ? this.limits("y", x) : this.whole.y) };
+    // these limits, or all that is there
+    show(x, y) {
+      const { whole } = this;
+      if (y && this.is_to_scale) { const middle = (y[0] + y[1]) / 2, half = (x[1] - x[0]) / (whole.x[1] - whole.x[0]) * (whole.y[1] - whole.y[0]) / 2; y = [middle - half, middle + half]; }
+      this.shown = { x: x ?? whole.x, y: y ?? (x ? this.limits("y", x) : whole.y) };
       this.plot.batch(() => {
         // which sets the old limits of x again
-        this.plot.redraw(isNew, true);
+        this.plot.redraw(true, true);
         for (const axis of ["x", "y"]) this.plot.setScale(axis, { min: this.shown[axis][0], max: this.shown[axis][1] });
       });
       if (this.chart.place !== undefined) this.mark(this.chart.place);
@@ -239,7 +234,7 @@ const page = (() => {
         html("span", {}, key, label);
         this.keys.push({ curves, value: html("output", {}, key) });
         key.ariaPressed = "true";
-        key.addEventListener("click", () => { const off = key.classList.toggle("off"); key.ariaPressed = String(!off); curves.forEach((c) => (c.off = off)); this.redraw(true); });
+        key.addEventListener("click", () => { const off = key.classList.toggle("off"); key.ariaPressed = String(!off); curves.forEach((c) => (c.off = off)); this.redraw(); });
       }
       body.tabIndex = 0;
       body.addEventListener("keydown", (event) => this.pressed(event));
@@ -252,12 +247,17 @@ const page = (() => {
       this.later = null;
       if (this.isVisible) act(); else this.later = () => { this.later = null; act(); };
     }
-    build(width) {
-      this.width = width;
+    // limits of all that is there
+    measure() {
       const all = this.panels.map((panel) => panel.limits("x"));
       this.limits = [Math.min(...all.map((each) => each[0])), Math.max(...all.map((each) => each[1]))];
+      for (const panel of this.panels) panel.whole = { x: this.limits, y: panel.limits("y") };
+    }
+    build(width) {
+      this.width = width;
+      this.measure();
       this.panels.forEach((panel) => panel.build(width));
-      this.isZoomed(false);
+      this.fit();
       // room for the values beside the names, so that nothing moves when they are shown
       const known = this.keys.map(({ value }) => value.textContent), put = (texts) => this.keys.forEach(({ value }, i) => (value.textContent = texts[i]));
       this.legend.style.minHeight = "";
@@ -269,28 +269,28 @@ const page = (() => {
     get room() { return Math.ceil(Math.max(58, ...this.panels.map((panel) => panel.room ?? 0))); }
     // the panels once more whose axis was drawn before that of another with longer numbers
     aligned() { for (const { plot } of this.panels) if (plot.axes[1]._size !== this.room) plot.redraw(false, true); }
-    // new values of the curves, as much of them as before in view
-    redraw(isNew = false) {
-      if (!isNew) return this.panels.forEach((panel) => panel.plot.redraw(false));
-      for (const panel of this.panels) { panel.plot.setData(panel.data(), false); panel.lines.forEach((c, i) => { panel.plot.series[2 * i + 1].show = panel.plot.series[2 * i + 2].show = !c.off && c.width > 0; }); }
-      if (!this.panels[0].is_to_scale) {
-        const all = this.panels.map((panel) => panel.limits("x"));
-        this.limits = [Math.min(...all.map((each) => each[0])), Math.max(...all.map((each) => each[1]))];
-        for (const panel of this.panels) panel.whole = { x: this.limits, y: panel.limits("y") };
-      }
-      for (const panel of this.panels) panel.show(...(this.button.hidden ? [null, null] : [panel.shown.x, panel.is_function ? null : panel.shown.y]), true);
+    // new values of the curves
+    redraw() {
+      for (const panel of this.panels) { panel.plot.setData(panel.data(), false); panel.lines.forEach((c, i) => { panel.plot.series[i + 1].show = !c.off && c.width > 0; }); }
+      if (!this.panels[0].is_to_scale) this.measure();
+      this.fit();
+    }
+    // as much in view as before
+    fit() {
+      for (const panel of this.panels) panel.show(...(this.button.hidden ? [] : [panel.shown.x, panel.is_function ? null : panel.shown.y]));
       this.aligned();
     }
-    isZoomed(is) { this.button.hidden = !is; }
+    // all that is there without limits
     zoom(x) {
       for (const chart of this.overTime ? charts.filter((each) => each.overTime) : [this]) {
-        const inside = [clamp(x[0], ...chart.limits), clamp(x[1], ...chart.limits)];
-        if (inside[1] > inside[0]) { chart.panels.forEach((panel) => panel.show(inside)); chart.isZoomed(true); chart.aligned(); }
+        const inside = x && [clamp(x[0], ...chart.limits), clamp(x[1], ...chart.limits)];
+        if (x && !(inside[1] > inside[0])) continue;
+        chart.button.hidden = !x;
+        chart.panels.forEach((panel) => panel.show(inside));
+        chart.aligned();
       }
     }
-    reset() {
-      for (const chart of this.overTime ? charts.filter((each) => each.overTime) : [this]) { chart.panels.forEach((panel) => panel.show()); chart.isZoomed(false); chart.aligned(); }
-    }
+    reset() { this.zoom(); }
     say(text) { this.said.textContent = text; }
     // values at x with their units beside the names of the curves, or in the sentence where these have no names, and a line through all panels
     read(x) {
@@ -331,7 +331,7 @@ const page = (() => {
       };
       const power = Math.log10(this.magnification);
       [this.slider, this.shownTime] = slider("time", { min: 0, step: 1, value: 0 }, (k) => { this.stop(); page.at(this.time[k]); });
-      [, this.shownTimes] = slider("deflection", { min: 0, max: Math.max(3, power + 1), step: 0.01, value: power }, (p) => { this.times = 10 ** p; this.fitted(); });
+      [, this.shownTimes] = slider("deflection", { min: 0, max: Math.max(3, power + 1), step: 0.01, value: power }, (p) => { this.times = 10 ** p; this.tell(); panel.chart.build(panel.chart.width); });
       this.take(given.rows.map(numbers));
       this.tell();
     }
@@ -374,12 +374,14 @@ const page = (() => {
     }
     // all places that any point reaches
     extent(axis) {
-      const found = [Infinity, -Infinity], offset = axis === "x" ? 0 : 1;
-      for (let i = offset; i < this.rigid.length; i += 2) { const v = this.rigid[i] + this.times * this.deviation[i]; if (v < found[0]) found[0] = v; if (v > found[1]) found[1] = v; }
-      const [low, high] = [Math.min, Math.max].map((f, k) => { let v = k ? -Infinity : Infinity; for (let i = offset; i < this.rigid.length; i += 2) v = f(v, this.rigid[i]); return v; });
-      return [Math.max(found[0], low - (high - low)), Math.min(found[1], high + (high - low))];
+      const ends = (times) => {
+        let low = Infinity, high = -Infinity;
+        for (let i = axis === "x" ? 0 : 1; i < this.rigid.length; i += 2) { const v = this.rigid[i] + times * this.deviation[i]; low = v < low ? v : low; high = v > high ? v : high; }
+        return [low, high];
+      };
+      const [low, high] = ends(0), all = ends(this.times);
+      return [Math.max(all[0], low - (high - low)), Math.min(all[1], high + (high - low))];
     }
-    fitted() { this.tell(); this.panel.chart.build(this.panel.chart.width); }
     tell() {
       this.slider.value = this.frame;
       this.shownTime.textContent = `${(1e3 * this.time[this.frame]).toFixed(0)} ms`;
@@ -401,10 +403,16 @@ const page = (() => {
       if (this.playing) return this.stop();
       this.playing = true;
       this.button.textContent = "pause";
-      const span = this.time[this.instants - 1] - this.time[0], began = performance.now() - 1e3 * this.slower * (this.time[this.frame] - this.time[0]);
+      let before = performance.now(), time = this.time[this.frame];
       const step = (now) => {
         if (!this.playing) return;
-        page.at(this.time[0] + ((now - began) / 1e3 / this.slower) % span);
+        // what is in view takes as long as the whole
+        const all = [this.time[0], this.time[this.instants - 1]], zoomed = charts.find((each) => each.overTime && !each.button.hidden);
+        const [first, last] = zoomed ? zoomed.panels[0].shown.x.map((t) => clamp(t, ...all)) : all;
+        time += (now - before) / 1e3 / this.slower * (last - first) / (all[1] - all[0]);
+        before = now;
+        if (!(time >= first && time <= last)) time = first;
+        page.at(time);
         requestAnimationFrame(step);
       };
       requestAnimationFrame(step);

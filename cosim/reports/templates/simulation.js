@@ -1,23 +1,16 @@
 // A run in the page: the module has robot, blocks and master (flexfmu.cosim.exchange.live); here are the motion's points and the metrics.
-// doubles, of which equal bytes lie together
-const doubles = (bytes) => {
-  const count = bytes.length / 8, all = new Uint8Array(bytes.length);
-  for (let i = 0; i < count; i++) for (let k = 0; k < 8; k++) all[8 * i + k] = bytes[k * count + i];
-  return new Float64Array(all.buffer);
-};
-// signals [instant][signal] from the differences of order 6 of their bits [signal][instant], whose signs are last
-const summed = (bytes, count) => {
-  const bits = new BigInt64Array(doubles(bytes).buffer), unsigned = new BigUint64Array(bits.buffer), signals = bits.length / count, all = new BigInt64Array(bits.length);
-  unsigned.forEach((each, i) => (bits[i] = (each >> 1n) ^ -(each & 1n)));
-  for (let order = 0; order < 6; order++) for (let i = 0; i < bits.length; i++) if (i % count) bits[i] += bits[i - 1];
-  bits.forEach((each, i) => (all[(i % count) * signals + Math.floor(i / count)] = each));
-  return new Float64Array(all.buffer);
-};
-// a line of JSON, whose arrays are places in the bytes behind it
+// a line of JSON, whose arrays are places in the bytes behind it; equal ones are the same
 const unpacked = async (text) => {
   const stream = new Blob([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))]).stream().pipeThrough(new DecompressionStream("gzip"));
-  const bytes = new Uint8Array(await new Response(stream).arrayBuffer()), end = bytes.indexOf(10), content = bytes.subarray(end + 1);
-  return JSON.parse(new TextDecoder().decode(bytes.subarray(0, end)), (key, value) => (value?.size === undefined || value.at === undefined ? value : content.subarray(value.at, value.at + value.size)));
+  const bytes = new Uint8Array(await new Response(stream).arrayBuffer()), end = bytes.indexOf(10) + 1, known = {};
+  const array = ({ array, at, size }) => (known[[array, at, size]] ??= new globalThis[array](bytes.slice(end + at, end + at + size).buffer));
+  return JSON.parse(new TextDecoder().decode(bytes.subarray(0, end)), (key, value) => (value?.array ? array(value) : value));
+};
+// a signal from the differences of order 6 of its bits
+const summed = (differences) => {
+  const bits = differences.slice();
+  for (let order = 0; order < 6; order++) for (let n = 1; n < bits.length; n++) bits[n] += bits[n - 1];
+  return new Float64Array(bits.buffer);
 };
 const POSITION = ["end_effector.position.x", "end_effector.position.y"], ENDS = 5, ORDERS = 10, FACTORIALS = Array.from({ length: ORDERS }, (_, k) => { let f = 1; while (k > 1) f *= k--; return f; });
 const FIRST_BENDING = "link11.bending[1]", accelerationOf = (name) => (name.includes("position") ? name.replace("position", "acceleration") : `der(${name},2)`);
@@ -40,43 +33,32 @@ class Simulation {
     const { runs, swept, fixed } = await unpacked(text), modules = new Map(), simulations = [];
     for (const facts of runs) {
       const { module } = facts;
-      if (!modules.has(module.byteOffset)) modules.set(module.byteOffset, await WebAssembly.compile(module));
-      simulations.push(new Simulation(facts, (await WebAssembly.instantiate(modules.get(module.byteOffset))).exports));
+      if (!modules.has(module)) modules.set(module, await WebAssembly.compile(module));
+      simulations.push(new Simulation(facts, (await WebAssembly.instantiate(modules.get(module))).exports));
     }
     return { simulations, swept, fixed };
   }
 
   constructor(facts, exports) {
-    Object.assign(this, { facts, exports, memory: exports.memory });
-    this.kept = new Map();
-    this.fmu = new Fmu(exports, facts.model);
-    const { grid } = facts, knots = doubles(grid.knots), knotJets = doubles(grid.knot_jets), axes = knotJets.length / knots.length / 7;
-    this.axes = axes;
-    // limits of positions, velocities and accelerations, [point][order][kind and axis], and back
-    const limits = (jets) => {
-      const count = jets.length / (7 * axes), all = new Float64Array(count * ENDS * 3 * axes);
-      for (let n = 0, at = 0; n < count; n++) for (let k = 0; k < ENDS; k++) for (let kind = 0; kind < 3; kind++) for (let a = 0; a < axes; a++)
-        all[at++] = jets[(n * 7 + k + kind) * axes + a];
-      return all;
-    };
-    const known = limits(knotJets);
-    this.joints = { times: knots, begins: known, positions: axes, polynomials: this.polynomials(knots, known, known, 3 * axes, doubles(grid.knot_scales)) };
-    if (grid.times) this.usual = this.recorded(limits);
-    const task = doubles(facts.task.times), path = doubles(facts.task.jets);
-    this.task = { times: task, begins: path, positions: 2, polynomials: this.polynomials(task, path, path, 2) };
-    this.analysis = Object.fromEntries(Object.entries(facts.analysis).map(([m, { control, highest, quadratures }]) => {
-      const put = (text) => this.put(doubles(text));
-      const quadrature = ([weights, ...others]) => ({ points: doubles(weights).length, tables: [weights, ...others].map(put) });
-      return [m, { control: put(control), highest: put(highest), quadratures: Object.fromEntries(Object.entries(quadratures).map(([k, all]) => [k, quadrature(all)])) }];
+    Object.assign(this, { facts, exports, memory: exports.memory, kept: new Map(), fmu: new Fmu(exports, facts.model) });
+    const { grid, task, analysis } = facts, table = ({ times, begins }) => ({ times, begins, polynomials: this.polynomials(times, begins, begins) });
+    Object.assign(this, { joints: table(grid.knots), task: table(task), usual: grid.times && this.recorded(grid) });
+    this.analysis = Object.fromEntries(Object.entries(analysis).map(([m, { matrices, quadratures }]) => {
+      const quadrature = ([k, all]) => [k, { points: all[0].length, tables: all.map((each) => this.put(each)) }];
+      return [m, { matrices: matrices.map((each) => this.put(each)), quadratures: Object.fromEntries(Object.entries(quadratures).map(quadrature)) }];
     }));
   }
 
   // communication points of the recording with all bits
-  recorded(limits) {
-    const { facts: { grid }, axes } = this, times = doubles(grid.times), row = ENDS * 3 * axes;
-    const begins = limits(summed(grid.jets, times.length)), ends = begins.slice(), left = limits(doubles(grid.before));
-    grid.jumps.forEach((n, i) => ends.set(left.subarray(i * row, (i + 1) * row), n * row));
-    return { times, begins, ends, marked: grid.marked, due: grid.due, polynomials: this.polynomials(times, begins, ends, 3 * axes, doubles(grid.scales)) };
+  recorded({ times, marked, due, scales, begins: signals, jumps, before }) {
+    const row = signals.length, begins = new Float64Array(row * times.length), values = new Map([...new Set(signals)].map((each) => [each, summed(each)]));
+    signals.forEach((each, i) => values.get(each).forEach((value, n) => (begins[n * row + i] = value)));
+    const ends = begins.slice();
+    jumps.forEach((n, i) => ends.set(before.subarray(i * row, (i + 1) * row), n * row));
+    return { key: this.key(), times, marked, due, begins, ends, polynomials: this.polynomials(times, begins, ends, scales) };
+  }
+  key({ step = this.facts.step, stretch = 1 } = {}) {
+    return `${step} ${stretch}`;
   }
 
   // memory that is kept under a name from run to run, and grows
@@ -97,40 +79,38 @@ class Simulation {
     return address;
   }
 
-  polynomials(times, begins, ends, variables, scales) {
-    const steps = times.length - 1;
+  polynomials(times, begins, ends, scales) {
+    const steps = times.length - 1, row = begins.length / times.length, variables = row / ENDS;
     if (!scales) {
       scales = new Float64Array(ORDERS * steps);
       for (let n = 0; n < steps; n++) for (let k = 0, power = 1; k < ORDERS; k++, power *= times[n + 1] - times[n]) scales[n * ORDERS + k] = power / FACTORIALS[k];
     }
-    const found = this.area("polynomials", 8 * ORDERS * variables * (steps + 1));
+    const found = this.area("polynomials", 2 * begins.byteLength);
     this.exports.live_hermite(steps, variables, this.put(begins, "begins"), this.put(ends, "ends"), this.put(scales, "scales"), found);
-    const all = this.view(Float64Array, found, ORDERS * variables * (steps + 1)).slice(), row = ORDERS * variables;
-    all.fill(0, steps * row);
-    all.set(begins.subarray(steps * ENDS * variables), steps * row);
+    const all = this.view(Float64Array, found, 2 * begins.length).slice().fill(0, 2 * row * steps);
+    all.set(begins.subarray(row * steps), 2 * row * steps);
     return all;
   }
 
-  // derivatives to order 4 of a table at a time, [order][variable]; at a jump from the left or the right; behind the last knot only
-  // positions aren't zero, the first of the variables
-  evaluate({ times, begins, polynomials, positions }, time, isLeft, found, at = 0) {
-    const variables = begins.length / times.length / ENDS, last = times.length - 1;
-    let low = 0, high = last;
+  // derivatives to order 4 of a table at a time, [order][variable]; at a jump from the left or the right
+  evaluate({ times, begins, polynomials }, time, isLeft, found, at = 0) {
+    const variables = begins.length / times.length / ENDS;
+    let low = 0, high = times.length - 1;
     while (low < high) {
       const middle = (low + high + 1) >> 1;
       if (isLeft ? times[middle] < time : times[middle] <= time) low = middle; else high = middle - 1;
     }
-    const h = low === last ? 0 : time - times[low];
+    const h = low === times.length - 1 ? 0 : time - times[low];
     for (let v = 0; v < variables; v++) for (let order = 0; order < ENDS; order++) {
       let sum = 0;
       for (let k = ORDERS - 1; k >= order; k--) sum = sum * (h / (k - order + 1)) + polynomials[(low * ORDERS + k) * variables + v];
-      found[at + order * variables + v] = low === last && (order || v >= positions) ? 0 : sum;
+      found[at + order * variables + v] = sum;
     }
   }
 
   // communication points for another step, duration or sample times: ticks, breakpoints and sample instants
   grid({ step, stretch }) {
-    const { facts, joints, axes } = this, { duration, clocks, breakpoints } = facts, end = duration * stretch, stop = end + (facts.stop - duration), near = 1e-6 * step;
+    const { facts, joints } = this, { duration, clocks, breakpoints } = facts, end = duration * stretch, stop = end + (facts.stop - duration), near = 1e-6 * step;
     const marks = breakpoints.map((t) => t * stretch), points = [0, stop, ...marks.filter((t) => t > 0 && t < stop - near)], due = [];
     for (const [time, offset] of clocks) {
       const all = [];
@@ -150,16 +130,17 @@ class Simulation {
     const flags = due.map(flagged), marked = flagged([0, ...marks, stop]);
     flags.forEach((each) => each.forEach((flag, i) => (marked[i] |= flag)));
     // the references, whose time is stretched
-    const variables = 3 * axes, row = ENDS * variables, begins = new Float64Array(times.length * row), ends = new Float64Array(times.length * row);
+    const row = joints.begins.length / joints.times.length, variables = row / ENDS;
+    const begins = new Float64Array(times.length * row), ends = new Float64Array(times.length * row);
     const own = (t) => (t < end - near ? t / stretch : duration + Math.max(t - end, 0));
-    const factors = Array.from({ length: row }, (_, i) => stretch ** -(Math.floor(i / variables) + Math.floor((i % variables) / axes)));
+    const factors = Array.from({ length: row }, (_, i) => stretch ** -(Math.floor(i / variables) + Math.floor((3 * (i % variables)) / variables)));
     times.forEach((t, n) => {
       const snapped = breakpoints.find((each) => Math.abs(each * stretch - t) <= near) ?? own(t);
       this.evaluate(joints, snapped, false, begins, n * row);
       this.evaluate(joints, snapped, true, ends, n * row);
       for (let i = 0; i < row; i++) { begins[n * row + i] *= factors[i]; ends[n * row + i] *= factors[i]; }
     });
-    return { times, marked, due: flags, begins, ends, polynomials: this.polynomials(times, begins, ends, variables) };
+    return { key: this.key({ step, stretch }), times, marked, due: flags, begins, ends, polynomials: this.polynomials(times, begins, ends) };
   }
 
   // communication step and tolerance for an accuracy
@@ -202,13 +183,9 @@ class Simulation {
 
   /** Simulates with `parameters` of robot and blocks; `tolerance`, `step` and `stretch` of the duration where they differ. */
   run({ parameters = {}, tolerance = this.facts.tolerance, step = this.facts.step, stretch = 1 } = {}) {
-    const { facts, exports } = this, isUsual = this.usual && step === facts.step && stretch === 1;
-    const key = `${step} ${stretch}`;
-    if (this.known?.key !== key) {
-      if (!isUsual) this.known = { key, ...this.grid({ step, stretch }) };
-      else this.known = this.first = this.first?.key === key ? this.first : { key, ...this.usual };
-    }
-    const grid = this.known, count = grid.times.length, capacity = count + grid.marked.reduce((sum, each) => sum + each, 1) + 1;
+    const { facts, exports } = this, key = this.key({ step, stretch });
+    const grid = [this.usual, this.known].find((each) => each?.key === key) ?? (this.known = this.grid({ step, stretch }));
+    const count = grid.times.length, capacity = count + grid.marked.reduce((sum, each) => sum + each, 1) + 1;
     // tables of the points, which stay in memory while runs have the same
     if (grid !== this.loaded) {
       const { polynomials: announced, ends: ended, marked, due } = grid, tables = { announced, ended, times: grid.times, marked, instants: new Uint8Array(count).fill(1) };
@@ -292,8 +269,8 @@ class Result {
     return POSITION.map((name) => this.signal(name, order));
   }
   rigids(order) {
-    const all = this.planned("task"), column = (k) => { const found = new Float64Array(this.size); for (let i = 0; i < this.size; i++) found[i] = all[i * 2 * ENDS + 2 * order + k]; return found; };
-    return ((this.known ??= {})[order] ??= [0, 1].map(column));
+    const planned = this.planned("task");
+    return ((this.known ??= {})[order] ??= [0, 1].map((axis) => this.time.map((_, i) => planned(i, order, axis))));
   }
   index(time, isAfter = false) {
     let n = 0;
@@ -366,18 +343,17 @@ class Result {
     }
     return { n, c, orders, left, right, duration, total, start };
   }
-  // a planned motion at all instants, [instant][order][variable]; the first of two equal instants is the left limit
+  // derivatives of a planned motion by instant, order and variable; the first of two equal instants is the left limit
   planned(name) {
-    const { simulation, stretch, duration, time, size, grid } = this, table = simulation[name], variables = table.begins.length / table.times.length / ENDS, row = variables * ENDS;
-    const key = `planned ${name} ${size}`;
+    const { simulation, stretch, duration, time, size, grid } = this, table = simulation[name], row = table.begins.length / table.times.length, variables = row / ENDS;
+    const key = `planned ${name} ${size}`, factors = Array.from({ length: ENDS }, (_, k) => stretch ** -k);
     if (grid[key]) return grid[key];
-    const all = new Float64Array(size * row), last = table.times[table.times.length - 1], near = 1e-9 * duration;
+    const all = new Float64Array(size * row), last = table.times.at(-1), near = 1e-9 * duration;
     for (let i = 0; i < size; i++) {
       const isLeft = i + 1 < size && time[i] === time[i + 1], isIn = time[i] < duration - near || (isLeft && time[i] <= duration + near);
       simulation.evaluate(table, isIn ? Math.min(time[i] / stretch, last) : last + 1, isLeft, all, i * row);
-      if (stretch !== 1) for (let k = 0; k < row; k++) all[i * row + k] *= stretch ** -Math.floor(k / variables);
     }
-    return (grid[key] = all);
+    return (grid[key] = (i, order, variable) => factors[order] * all[i * row + order * variables + variable]);
   }
   /** Whether the loop is unstable: the joints' velocities are far off, or their errors grow or stay in the dwell (run_checks.py). */
   get isUnstable() {
@@ -396,10 +372,10 @@ class Result {
   }
   // the C of the metrics, ready for segments
   analysed(segments) {
-    const { simulation } = this, { n, c, orders, left, right, duration } = segments, { control, highest } = simulation.analysis[orders];
+    const { simulation } = this, { n, c, orders, left, right, duration } = segments, { matrices } = simulation.analysis[orders];
     const area = (name, size) => simulation.area(`metrics ${name}`, size), put = (values, name) => simulation.put(values, `metrics ${name}`), signal = area("signal", 64);
     if (simulation.analysed === segments) return signal;
-    const arrays = [put(duration, "duration"), put(left, "left"), put(right, "right"), control, highest, area("terms", 16 * orders * n * c)];
+    const arrays = [put(duration, "duration"), put(left, "left"), put(right, "right"), ...matrices, area("terms", 16 * orders * n * c)];
     const words = [n, c, orders, n * c, n * c, ...arrays, ...["ends", "bounds", "errors"].map((name) => area(name, 8 * n)), area("jumps", 8 * c * (n + 1)), area("kept", 4 * n)];
     simulation.view(Uint32Array, signal, 16).set(words);
     simulation.exports.metrics_prepare(signal);
@@ -432,9 +408,9 @@ class Result {
   // for a signal that the page doesn't know
   signalSegments(method, joint) {
     const { duration } = this, motion = [0, duration], cycle = [-1, Infinity], over = (name, m, range, ...offset) => (this.signal(name) ? this.segments([name], m, ...range, ...offset) : undefined);
-    const speed = `joint${joint}.${this.signal(`joint${joint}.velocity`) ? "" : "reference."}velocity`, { axes } = this.simulation;
-    const rigid = (range) => { const all = this.planned("task"); return this.segments(POSITION, 5, ...range, (i, k, channel) => all[2 * (i * ENDS + k) + channel]); };
-    const tracking = (range) => { const all = this.planned("joints"); return over(`joint${joint}.position`, 5, range, (i, k) => all[(i * ENDS + k) * 3 * axes + joint - 1]); };
+    const speed = `joint${joint}.${this.signal(`joint${joint}.velocity`) ? "" : "reference."}velocity`;
+    const rigid = (range) => this.segments(POSITION, 5, ...range, this.planned("task"));
+    const tracking = (range) => { const planned = this.planned("joints"); return over(`joint${joint}.position`, 5, range, (i, k) => planned(i, k, joint - 1)); };
     return {
       torque: () => over(`joint${joint}.torque`, 3, motion),
       tip_deflection: () => over(`link${joint}1.tip_deflection`, 3, motion) ?? 0,
