@@ -5,7 +5,7 @@
   await new Promise((done) => (charts.length ? done() : addEventListener("charts", done, { once: true })));
   const { simulations, swept, fixed } = await Simulation.load(document.getElementById("module").textContent);
   // runs side by side, or alternatives of one run, of which one is shown
-  const isCompared = simulations.some((each) => each.facts.place !== simulations[0].facts.place), usuals = new Map(), state = new Map();
+  const isSwept = Object.keys({ ...swept, ...fixed }).length > 0, isCompared = simulations.some((each) => each.facts.place !== simulations[0].facts.place), usuals = new Map(), state = new Map();
   const usual = (simulation) => { if (!usuals.has(simulation)) usuals.set(simulation, simulation.run()); return usuals.get(simulation); };
   let chosen = 0;
   const active = () => (isCompared ? simulations : [simulations[chosen]]);
@@ -106,7 +106,7 @@
 
   // draw results; recorded curves stay as thin lines
   const cells = [...document.querySelectorAll("[data-metric]")].map((cell) => ({ cell, name: cell.dataset.metric, text: cell.textContent, ...JSON.parse(cell.dataset.shown) }));
-  const metricCurves = charts.flatMap((chart) => chart.panels.flatMap(({ curves }) => curves.map((each) => each.source?.metric))).filter(Boolean);
+  const sourcesOf = ({ panels }) => panels.flatMap(({ curves }) => curves.map((each) => each.source)).filter(Boolean), metricCurves = charts.flatMap(sourcesOf).map((each) => each.metric).filter(Boolean);
   const shown = new Set([...cells.filter((each) => each.factor).map((each) => each.name), ...metricCurves]), verdict = document.querySelector(".verdict"), sentences = [...verdict.childNodes];
   shown.add("residual_vibration_amplitude").add("residual_vibration_rms");
   // relative errors of the metrics as far as they are known
@@ -114,16 +114,18 @@
   const magnification = () => charts.flatMap((chart) => chart.panels).find((each) => each.motion)?.motion.magnification;
   let referenced = "";
   const sliderOf = (key) => sliders.find((each) => [each.written, each.key].includes(key));
-  const others = [...(isCompared ? document.querySelectorAll("td.value") : []), ...document.querySelectorAll(".lead")].filter((each) => each.textContent.trim() && !each.querySelector("[data-metric]"));
+  // what the page doesn't compute of a run: sentences, rows of tables, captions of charts
+  const ofRuns = isSwept ? [] : [...document.querySelectorAll("tr:not(:has([data-metric])) :is(td.value, details td)"), ...charts.filter((each) => !each.panels[0].motion && !sourcesOf(each).length).map(({ figure }) => figure.querySelector(".caption"))];
+  const others = [...document.querySelectorAll(".lead"), ...ofRuns].filter((each) => each?.textContent.trim());
   const show = (results, isUsual) => {
     const [one] = results.values(), isMoved = remark();
     for (const each of others) each.classList.toggle("stale", !isUsual);
     for (const chart of charts) {
-      const { motion } = chart.panels[0], sources = chart.panels.flatMap(({ curves }) => curves.map((each) => each.source)).filter(Boolean);
+      const { motion } = chart.panels[0];
       if (motion) chart.whenSeen(() => { const now = motion.time[motion.frame]; moved(motion, one); motion.show(now); });
       // the joints' references are what they were unless their time changes
       if (chart.key === "references" && referenced === `${chosen} ${one.grid.key}`) continue;
-      if (sources.length) chart.whenSeen(() => {
+      if (sourcesOf(chart).length) chart.whenSeen(() => {
         for (const each of chart.panels) {
           for (const curve of each.curves) {
             const { source } = curve, r = results.get(source?.run ?? 0);
@@ -156,13 +158,12 @@
     verdict.replaceChildren(...(ended ? [ended] : sentences));
     const measured = (r) => (r.failure ? Object.fromEntries([...shown].map((name) => [name, null])) : (r.measured ?? r.measure(shown)));
     const metrics = new Map([...results].map(([place, r]) => [place, measured(r)])), zero = metrics.get(0);
-    const stateOf = (r) => (r.failure ? 2 : r.isUnstable ? 1 : null), isGood = (place) => results.has(place) && stateOf(results.get(place)) === null;
     // a figure in words; undefined if the page doesn't compute it
     const worded = ({ name, text, run, factor, unit, limit, digits, compared, phrases, stays, isError, of, names, failed, offset }) => {
-      if (name === "state") { const now = stateOf(results.get(run)); return now === null && stays && text ? undefined : ["", "Unstable. ", "Failed. "][now ?? 0]; }
-      if (name === "failures") { const bad = names.filter((_, place) => (results.has(place) ? !isGood(place) : failed.includes(place))); return bad.length ? `Unstable or failed: ${bad.join(", ")}. ` : ""; }
+      if (name === "state") { const { state: now } = results.get(run); return !now && stays && text ? undefined : now && `${now}. `; }
+      if (name === "failures") { const bad = names.filter((_, place) => (results.has(place) ? results.get(place).state : failed.includes(place))); return bad.length ? `Unstable or failed: ${bad.join(", ")}. ` : ""; }
       if (name === "least") {
-        const known = names.map((each, place) => [metrics.get(place)?.[of], each]).filter(([value], place) => isGood(place) && value !== null && value !== undefined).sort((a, b) => a[0] - b[0]);
+        const known = names.map((each, place) => [metrics.get(place)?.[of], each]).filter(([value], place) => results.get(place)?.state === "" && value !== null && value !== undefined).sort((a, b) => a[0] - b[0]);
         return known.length > 1 ? `${known[0][1]} ${phrases}, ${short(known[0][0] * factor, 3)} ${unit}. ` : "";
       }
       if (name === "ringing") {
@@ -184,8 +185,8 @@
       recorded ||= said === undefined && text !== "";
     }
     get(".recorded").hidden = !recorded;
-    const failures = [...results.values()].filter((r) => r.failure), unstable = [...results.values()].filter((r) => !r.failure && r.isUnstable);
-    alarm(isUsual ? "" : failures.length ? `The simulation fails with these values: ${failures[0].failure}. There are no figures of it; curves end where it failed.` : unstable.length ? "The loop is unstable with these values: the joints run away from their references." : "");
+    const [failed, unstable] = ["Failed", "Unstable"].map((state) => [...results.values()].find((r) => r.state === state));
+    alarm(isUsual ? "" : failed ? `The simulation fails with these values: ${failed.failure}. There are no figures of it; curves end where it failed.` : unstable ? "The loop is unstable with these values: the joints run away from their references." : "");
   };
   const alarm = (text) => {
     const box = get(".alarm");
@@ -247,20 +248,17 @@
     const folders = simulations.map(({ facts: { option } }) => quoted(`results/${option}`));
     return [...simulations.map((each, i) => `${each.command(valuesOf(each))} --out ${folders[i]}`), `flexfmu compare ${folders.join(" ")}`].join(" &&\n");
   };
-  const scene = (simulation = active()[0]) => simulation.scene(valuesOf(simulation));
   const copying = (button, text) => button.addEventListener("click", () => {
     Object.assign(get(".command"), { textContent: text(), hidden: false });
     navigator.clipboard?.writeText(text()).catch(() => {});
   });
   copying(get(".copy"), command);
   get(".copy").hidden = !simulations.every((each) => each.facts.origin);
-  simulations.slice(0, isCompared ? undefined : 1).forEach((each) => {
-    const button = isCompared ? html("button", { type: "button" }, null, `copy ${each.facts.option} as scene`) : get(".copy-scene");
-    if (isCompared) get(".copy-scene").before(button, " ");
-    button.hidden = !each.facts.scene;
-    copying(button, () => scene(isCompared ? each : undefined));
-  });
-  if (isCompared) get(".copy-scene").remove();
+  for (const each of isCompared ? simulations : simulations.slice(0, 1)) {
+    const button = html("button", { type: "button", hidden: !each.facts.scene }, null, isCompared ? `copy ${each.facts.option} as scene` : "copy as scene");
+    get(".reset-all").before(button, " ");
+    copying(button, () => { const simulation = isCompared ? each : active()[0]; return simulation.scene(valuesOf(simulation)); });
+  }
   get(".reset-all").addEventListener("click", () => { recorded(); changed(); });
   // a point of a sweep that was picked: values, and what is said of the others
   page.pick = (points) => {
@@ -291,7 +289,7 @@
   addressedState();
   show(new Map(active().map((each) => [each.facts.place, usual(each)])), true);
   if (state.size || chosen || refused.length) changed(); else status.textContent = timed(active().map(usual), true);
-  page.live = { simulations, simulation: simulations[0], usual: usual(simulations[0]), update, state, sliders, command, scene };
+  page.live = { usual: usual(simulations[0]), state, sliders };
   panel.classList.add("ready");
 })().catch((error) => {
   document.querySelector("#live .status").textContent = `This browser can't simulate: ${error.message}. All is as recorded.`;

@@ -355,6 +355,10 @@ class Result {
     }
     return (grid[key] = (i, order, variable) => factors[order] * all[i * row + order * variables + variable]);
   }
+  /** What went wrong, as a page says it; empty if nothing did. */
+  get state() {
+    return (this.trouble ??= this.failure ? "Failed" : this.isUnstable ? "Unstable" : "");
+  }
   /** Whether the loop is unstable: the joints' velocities are far off, or their errors grow or stay in the dwell (run_checks.py). */
   get isUnstable() {
     const { beyond, beforeFailure, atRest, onTheMove, growth, lasting } = this.simulation.facts.divergence, { time, size, duration } = this;

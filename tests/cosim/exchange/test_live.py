@@ -418,6 +418,25 @@ def test_a_shaper_is_switched_on(browser: Any, tmp_path: Path) -> None:
     page.context.close()
 
 
+def test_motors_stay_as_recorded(browser: Any, tmp_path: Path) -> None:
+    """Where a slider moved, tables and charts that the page doesn't compute are marked; what it computes, and its names, aren't."""
+    motor = {"continuous_torque": 60.0, "peak_torque": 90.0, "maximum_speed": 20.0}
+    scene = load_scene("barnard2012-6kg").replace({"motor": motor})
+    page, problems = opened(browser, flexfmu.run(scene).live_report(tmp_path / "x.html"))
+    motors = page.locator("details", has=page.locator("summary", has_text="Motors")).locator("td")
+    caption = page.locator("figure", has=page.locator("h3", has_text="Torque over speed, motor 1")).locator(".caption")
+    metrics = page.locator("tr", has=page.locator("[data-metric]")).locator("td")
+    stale = "cells => cells.map(each => each.classList.contains('stale'))"
+    for place, is_moved in (("-0.4", True), ("0", False)):
+        page.get_by_label("payload.mass").fill(place)
+        page.wait_for_timeout(800.0)
+        for cells in (motors, caption):
+            assert {*cells.evaluate_all(stale)} == {is_moved}
+        assert {*metrics.evaluate_all(stale)} == {False}
+    assert problems == []
+    page.context.close()
+
+
 def test_runs_side_by_side_have_common_sliders(browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A payload of 0.64 times its own in two scenes of three; results that were read stay as recorded, and the page says so."""
     scene = load_scene("barnard2012-6kg")

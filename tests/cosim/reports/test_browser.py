@@ -240,6 +240,30 @@ def test_a_zoom_between_points_shows_the_line_there(report: Any, run: Run) -> No
     assert (low, high) == pytest.approx((min(ends) - margin, max(ends) + margin), rel=2e-3)
 
 
+def test_a_zoom_stays_in_another_window_and_plays(report: Any) -> None:
+    """Limits are the same at another width, those to scale about the same middle; the robot moves within the part in view alone."""
+    limits = """() => page.charts.filter(({ key }) => ['scene', 'torques'].includes(key)).map(({ panels: [{ shown }] }) => [shown.x, shown.y])"""
+    report.evaluate("page.charts.find(({ key }) => key === 'torques').zoom([0.1, 0.2])")
+    # to scale: half as wide, about the middle
+    report.evaluate("""() => { const chart = page.charts[0], [panel] = chart.panels, [[x0, x1], [y0, y1]] = [panel.shown.x, panel.shown.y];
+      panel.show([0.75 * x0 + 0.25 * x1, 0.25 * x0 + 0.75 * x1], [y0, y1]); chart.button.hidden = false; }""")
+    (scene_x, scene_y), torques = report.evaluate(limits)
+    assert torques[0] == [0.1, 0.2]
+    report.set_viewport_size({"width": 800, "height": 900})
+    report.wait_for_timeout(300.0)
+    (x, y), again = report.evaluate(limits)
+    assert again == torques
+    assert x == scene_x
+    assert sum(y) == pytest.approx(sum(scene_y))
+    # of frames, the one before the first among them
+    instants = report.evaluate("""async () => { const { motion } = page.charts[0].panels[0], seen = []; motion.play();
+      for (const end = performance.now() + 1500; performance.now() < end;) { await new Promise(requestAnimationFrame); seen.push(motion.time[motion.frame]); }
+      motion.stop(); return seen; }""")
+    assert 0.095 < min(instants) < max(instants) < 0.205
+    report.set_viewport_size({"width": 1200, "height": 900})
+    report.evaluate("page.charts.forEach(each => each.reset())")
+
+
 def test_the_legend_hides_a_curve(report: Any) -> None:
     """And shows it again."""
     key = chart_of(report, "Tip deflections").get_by_role("button", name="link 2")
