@@ -657,12 +657,10 @@ def _origin(scene: Scene) -> dict[str, Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SceneWarning)
-            given = load_scene(scene.origin) if scene.origin else None
+            before = load_scene(scene.origin).model_dump(mode="json", exclude_none=True) if scene.origin else {}
     except SceneError:
-        given = None
-    if given is None:
-        return {"origin": ""}
-    own, before = (each.model_dump(mode="json", exclude_none=True) for each in (scene, given))
+        before = {}
+    own = scene.model_dump(mode="json", exclude_none=True)
     short = scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     changed: dict[str, Any] = {}
     for name, value in own.items():
@@ -674,7 +672,7 @@ def _origin(scene: Scene) -> dict[str, Any]:
         elif value != known:
             changed[name] = short.get(name, value)
     # no --set takes a section away
-    return {"origin": "" if before.keys() - own.keys() else scene.origin, "settings": [*changed.items()]}
+    return {"origin": scene.origin if before and before.keys() <= own.keys() else "", "settings": [*changed.items()]}
 
 
 def _divergence(run: Run) -> dict[str, float]:

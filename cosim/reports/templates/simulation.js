@@ -41,8 +41,8 @@ class Simulation {
 
   constructor(facts, exports) {
     Object.assign(this, { facts, exports, memory: exports.memory, kept: new Map(), fmu: new Fmu(exports, facts.model) });
-    const { grid, task, analysis } = facts, table = ({ times, begins }) => ({ times, begins, polynomials: this.polynomials(times, begins, begins) });
-    Object.assign(this, { joints: table(grid.knots), task: table(task), usual: grid.times && this.recorded(grid) });
+    const { grid, task, analysis } = facts;
+    Object.assign(this, { joints: this.table(grid.knots), task: this.table(task), usual: grid.times && this.recorded(grid) });
     this.analysis = Object.fromEntries(Object.entries(analysis).map(([m, { matrices, quadratures }]) => {
       const quadrature = ([k, all]) => [k, { points: all[0].length, tables: all.map((each) => this.put(each)) }];
       return [m, { matrices: matrices.map((each) => this.put(each)), quadratures: Object.fromEntries(Object.entries(quadratures).map(quadrature)) }];
@@ -55,7 +55,7 @@ class Simulation {
     signals.forEach((each, i) => values.get(each).forEach((value, n) => (begins[n * row + i] = value)));
     const ends = begins.slice();
     jumps.forEach((n, i) => ends.set(before.subarray(i * row, (i + 1) * row), n * row));
-    return { key: this.key(), times, marked, due, begins, ends, polynomials: this.polynomials(times, begins, ends, scales) };
+    return { key: this.key(), marked, due, ...this.table({ times, begins, ends, scales }) };
   }
   key({ step = this.facts.step, stretch = 1 } = {}) {
     return `${step} ${stretch}`;
@@ -79,7 +79,8 @@ class Simulation {
     return address;
   }
 
-  polynomials(times, begins, ends, scales) {
+  // motions by their limits at some times, [point][order][variable], and the polynomials between these
+  table({ times, begins, ends = begins, scales }) {
     const steps = times.length - 1, row = begins.length / times.length, variables = row / ENDS;
     if (!scales) {
       scales = new Float64Array(ORDERS * steps);
@@ -87,14 +88,13 @@ class Simulation {
     }
     const found = this.area("polynomials", 2 * begins.byteLength);
     this.exports.live_hermite(steps, variables, this.put(begins, "begins"), this.put(ends, "ends"), this.put(scales, "scales"), found);
-    const all = this.view(Float64Array, found, 2 * begins.length).slice().fill(0, 2 * row * steps);
-    all.set(begins.subarray(row * steps), 2 * row * steps);
-    return all;
+    const polynomials = this.view(Float64Array, found, 2 * begins.length).slice().fill(0, 2 * row * steps);
+    polynomials.set(begins.subarray(row * steps), 2 * row * steps);
+    return { times, begins, ends, polynomials, row, variables };
   }
 
   // derivatives to order 4 of a table at a time, [order][variable]; at a jump from the left or the right
-  evaluate({ times, begins, polynomials }, time, isLeft, found, at = 0) {
-    const variables = begins.length / times.length / ENDS;
+  evaluate({ times, polynomials, variables }, time, isLeft, found, at = 0) {
     let low = 0, high = times.length - 1;
     while (low < high) {
       const middle = (low + high + 1) >> 1;
@@ -130,8 +130,7 @@ class Simulation {
     const flags = due.map(flagged), marked = flagged([0, ...marks, stop]);
     flags.forEach((each) => each.forEach((flag, i) => (marked[i] |= flag)));
     // the references, whose time is stretched
-    const row = joints.begins.length / joints.times.length, variables = row / ENDS;
-    const begins = new Float64Array(times.length * row), ends = new Float64Array(times.length * row);
+    const { row, variables } = joints, begins = new Float64Array(times.length * row), ends = new Float64Array(times.length * row);
     const own = (t) => (t < end - near ? t / stretch : duration + Math.max(t - end, 0));
     const factors = Array.from({ length: row }, (_, i) => stretch ** -(Math.floor(i / variables) + Math.floor((3 * (i % variables)) / variables)));
     times.forEach((t, n) => {
@@ -140,7 +139,7 @@ class Simulation {
       this.evaluate(joints, snapped, true, ends, n * row);
       for (let i = 0; i < row; i++) { begins[n * row + i] *= factors[i]; ends[n * row + i] *= factors[i]; }
     });
-    return { key: this.key({ step, stretch }), times, marked, due: flags, begins, ends, polynomials: this.polynomials(times, begins, ends) };
+    return { key: this.key({ step, stretch }), marked, due: flags, ...this.table({ times, begins, ends }) };
   }
 
   // communication step and tolerance for an accuracy
@@ -196,8 +195,7 @@ class Simulation {
     const { times, marked, instants } = this.places;
     const width = facts.channels.reduce((sum, [, n]) => sum + n, 1), rows = this.area("rows", 8 * width * capacity);
     // the image, with parameters of blocks, relocated
-    this.image ??= facts.image;
-    const base = this.put(this.image, "image"), words = (place) => this.view(Uint32Array, base + place, 1);
+    const base = this.put(facts.image, "image"), words = (place) => this.view(Uint32Array, base + place, 1);
     const bases = { ...this.places, image: base };
     for (const [place, name, offset] of facts.words) words(place)[0] = name === "function" ? exports.live_function(offset) : bases[name] + offset;
     const starts = { ...facts.starts };
@@ -208,31 +206,25 @@ class Simulation {
     const program = this.area("program", 4 * 12), progress = this.area("progress", 16), channels = this.area("channels", 12 * facts.channels.length), active = this.area("active", 4);
     let at = rows + 8 * capacity;
     facts.channels.forEach(([place, n], i) => { this.view(Uint32Array, channels + 12 * i, 3).set([base + place, at, n]); at += 8 * n * capacity; });
-    const go = (lists, points, when) => {
-      const [[advance, n], [exchange, m]] = lists;
+    let robot, size = 0, failure = "";
+    const go = ([[advance, n], [exchange, m]], points, when) => {
       this.view(Uint32Array, program, 12).set([base + advance, base + exchange, n, m, channels, facts.channels.length, capacity, ...when, rows, active]);
-      if (exports.master_run(program, points, progress)) throw new Error(this.fmu.message || "a signal is not a number");
+      this.view(Uint32Array, progress, 4).set([0, size, 0, 0]);
+      const isBad = exports.master_run(program, points, progress);
+      size = this.view(Uint32Array, progress, 4)[1];
+      if (isBad) throw new Error(this.fmu.message || "a signal is not a number");
     };
-    const first = [this.put(Float64Array.of(0, 0), "first"), this.put(Uint8Array.of(1, 1), "jump"), this.put(Uint8Array.of(0, 0), "unrecorded")];
-    const recorded = this.put(Uint8Array.of(1, 1), "recorded"), stop = grid.times[count - 1];
-    let robot, records = 0;
+    const begin = this.put(Float64Array.of(0, 0), "begin"), yes = this.put(Uint8Array.of(1, 1), "yes"), no = this.put(Uint8Array.of(0, 0), "no");
     const started = performance.now();
     facts.script.forEach((part, i) => {
-      const isLast = i === facts.script.length - 1;
       if (part === "create") {
         robot = this.fmu.instantiate("plant").set(starts);
         words(facts.handle)[0] = robot.component;
-      } else if (part === "initialize") robot.initialize({ stop, tolerance });
-      else {
-        this.view(Uint32Array, progress, 4).set([0, records, 0, 0]);
-        go([[0, 0], part], 1, isLast ? [first[0], first[1], recorded] : first);
-        records = this.view(Uint32Array, progress, 4)[1];
-      }
+      } else if (part === "initialize") robot.initialize({ stop: grid.times[count - 1], tolerance });
+      else go([[0, 0], part], 1, [begin, yes, i === facts.script.length - 1 ? yes : no]);
     });
-    let failure = "";
-    this.view(Uint32Array, progress, 4).set([0, records, 0, 0]);
     try { go([facts.advance, facts.exchange], count - 1, [times, marked, instants]); } catch (error) { failure = error.message; }
-    const elapsed = performance.now() - started, size = this.view(Uint32Array, progress, 4)[1];
+    const elapsed = performance.now() - started;
     robot.free();
     const all = this.view(Float64Array, rows, width * capacity).slice();
     const rest = this.restAt(starts);
@@ -345,7 +337,7 @@ class Result {
   }
   // derivatives of a planned motion by instant, order and variable; the first of two equal instants is the left limit
   planned(name) {
-    const { simulation, stretch, duration, time, size, grid } = this, table = simulation[name], row = table.begins.length / table.times.length, variables = row / ENDS;
+    const { simulation, stretch, duration, time, size, grid } = this, table = simulation[name], { row, variables } = table;
     const key = `planned ${name} ${size}`, factors = Array.from({ length: ENDS }, (_, k) => stretch ** -k);
     if (grid[key]) return grid[key];
     const all = new Float64Array(size * row), last = table.times.at(-1), near = 1e-9 * duration;
