@@ -52,7 +52,10 @@ RENEWED, CONTRACTS = 10, 0.5
 or where a change is larger than this share of the one before."""
 
 SHARED = 8
-"""Steps of a fleet that share a matrix: an eighth of the time for a renewal and of its memory, and two or three iterations more."""
+"""Steps of a fleet, or of a long motion, that share a matrix: an eighth of the time for a renewal and of its memory, and two or three iterations more."""
+
+COLUMNS = 32
+"""Variables whose derivatives are found together, for the sake of memory."""
 
 TOGETHER = 3
 """Variants of a fleet that are solved together: as many as processor caches hold."""
@@ -66,9 +69,9 @@ class Response:
         position: end effector (P, N, 2) [m].
         torque: motor torques (P, N, 2) [N m].
         end: elastic coordinates and their rates at the end of the motion (P, 2, n) [m, m/s].
-        position_by, torque_by: derivatives (P, N, 2, m); m is 0 where none are wanted.
+        position_by, torque_by: derivatives (P, N, 2, m), stored in single precision; m is 0 where none are wanted.
         end_by: derivatives (P, 2, n, m).
-        loads, loads_by: the further outputs (P, N, r) that were asked for, and their derivatives (P, N, r, m).
+        loads, loads_by: the further outputs (P, N, r) that were asked for, and their derivatives (P, N, r, m), as these.
         references, references_by: angles, speeds and accelerations of the joints (3, N, 2) [rad, rad/s, rad/s²] that it responds to, and
             their derivatives (N, 6, m).
         duration: of the motion [s].
@@ -155,10 +158,8 @@ class ElasticResponse:
             by = np.empty((len(references), 6, 0))
         else:
             linear = self._linearised(z, references, duration)
-            values, explicit = linear.values, linear.by_references @ by.reshape(1, self.steps, 3, 6, -1)
-            explicit[..., -1] += linear.by_duration
-            matrices = _Matrices(linear, self.steps)
-            out, end_by = matrices.derivatives(linear, explicit)
+            values, matrices = linear.values, _Matrices(linear, self.steps)
+            out, end_by = matrices.derivatives(linear, by)
             self._matrices = matrices.kept(self._shared)
             end_by[:, 1] /= duration
             end_by[:, 1, :, -1] -= end[:, 1] / duration
@@ -284,6 +285,7 @@ class _Matrices:
         some = slice(shared // 2, None, shared)
         self._inverse = self._inverse[:, some].astype(np.float32)
         self._by_state = self._by_state[:, some].astype(np.float32)
+        self._transition = self._transition.astype(np.float32)
         return self
 
     def solved(self, loads: RealArray) -> RealArray:
@@ -297,23 +299,36 @@ class _Matrices:
         found -= self._by_state @ states.astype(self._by_state.dtype)
         return found.swapaxes(2, 3).reshape(loads.shape)
 
-    def derivatives(self, linear: _Linearised, explicit: RealArray) -> tuple[RealArray, RealArray]:
+    def derivatives(self, linear: _Linearised, by: RealArray) -> tuple[RealArray, RealArray]:
         """Derivatives of the outputs (P, N, k, m) and of the end state [q, q'] (P, 2, n, m).
 
         Args:
             linear: the equations of all steps.
-            explicit: derivatives of forces and outputs at constant z (P, S, 3, n + k, m).
+            by: derivatives of the references by design variables, see `ElasticResponse.respond`.
         """
-        (count, steps, _, rows, m), n = explicit.shape, self._inverse.shape[-1] // 3
-        loads = -explicit[..., :n, :].reshape(count, steps, 3 * n, m)
-        states = self._states(self._added(self._inverse) @ loads)
+        (count, steps, _, rows, _), m, n = linear.by_references.shape, by.shape[-1], self._inverse.shape[-1] // 3
         # z eliminated
-        k = rows - n
+        k, of_forces = rows - n, self._added(self._inverse)
         by_z = linear.by_z[:, :, :, n:].reshape(count, steps, 3 * k, 3 * n)
         by_state = linear.by_state[:, :, :, n:].reshape(count, steps, 3 * k, 2 * n) - by_z @ self._by_state
-        out = (by_z @ self._inverse) @ loads + by_state @ states[:, :-1]
-        out = out.reshape(count, steps, 3, k, m) + explicit[..., n:, :]
-        return out.reshape(count, 3 * steps, k, m), states[:, -1].reshape(count, 2, n, m).copy()
+        by_z = by_z @ self._inverse
+        out = np.empty((count, steps, 3 * k, m), dtype=np.float32)
+        end = np.empty((count, 2, n, m))
+        for first in range(0, m, COLUMNS):
+            some = slice(first, first + COLUMNS)
+            explicit = linear.by_references @ by[..., some].reshape(1, steps, 3, 6, -1)
+            if some.stop >= m:
+                explicit[..., -1] += linear.by_duration
+            # sizes are written out: rigid robots have n = 0
+            width = explicit.shape[-1]
+            loads = -explicit[..., :n, :].reshape(count, steps, 3 * n, width)
+            states = self._states(of_forces @ loads)
+            found = by_z @ loads
+            found += by_state @ states[:, :-1]
+            found += explicit[..., n:, :].reshape(found.shape)
+            out[..., some] = found
+            end[..., some] = states[:, -1].reshape(count, 2, n, width)
+        return out.reshape(count, 3 * steps, k, m), end
 
     @property
     def transfer(self) -> RealArray:
@@ -389,7 +404,8 @@ def joined(arrays: Sequence[RealArray]) -> RealArray:
     """Arrays one after the other along their first axis, the others filled up with zeros."""
     if len(arrays) == 1:
         return arrays[0]
-    whole = np.zeros((sum(len(each) for each in arrays), *np.max([each.shape[1:] for each in arrays], axis=0)))
+    shape = sum(map(len, arrays)), *np.max([each.shape[1:] for each in arrays], axis=0)
+    whole = np.zeros(shape, arrays[0].dtype)
     first = 0
     for each in arrays:
         whole[(slice(first, first + len(each)), *map(slice, each.shape[1:]))] = each

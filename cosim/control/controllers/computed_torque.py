@@ -21,7 +21,7 @@ from flexfmu.cosim.control.controllers.joints import TORQUE, joint_block, joint_
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.model import numeric
-from flexfmu.model.reference_design.elastic_response import METHOD, ElasticResponse
+from flexfmu.model.reference_design.elastic_response import METHOD, SHARED, ElasticResponse
 from flexfmu.model.scene.controllers import ComputedTorqueSection, FeedforwardSection, GravityFeedforwardSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
@@ -137,18 +137,19 @@ def mean_torques(
     Raises:
         EquilibriumError: the links are too soft for the motion.
     """
-    # equal steps, some of them before the first sample
+    # equal steps, some of them before the first sample and after the last one, so that each `SHARED` of them share a matrix
     before, count = ceil(offset / sample_time), max(1, ceil((stop_time - offset) / sample_time))
-    duration, parts = (before + count) * sample_time, ceil(sample_time / STEP)
-    response = ElasticResponse(scene, [{}], joints.evaluate(0.0, 0, "left")[0, 0], (before + count) * parts)
+    total, parts = SHARED * ceil((before + count) / SHARED), ceil(sample_time / STEP)
+    duration, start = total * sample_time, joints.evaluate(0.0, 0, "left")[0, 0]
+    response = ElasticResponse(scene, [{}], start, total * parts, shared=SHARED)
     instants = offset - before * sample_time + duration * response.fractions
     # the motors rest before and after the motion
     references = joints.evaluate(np.clip(instants, 0.0, joints.duration), 2, "left")
     references[1:, (instants < 0.0) | (instants > joints.duration)] = 0.0
     torques = response.respond(np.hstack(list(references)), duration).torque[0]
     # the mean over a step by the weights of Gauss's quadrature, then over a sample
-    means = np.einsum("s,kpsj->kj", METHOD.whole, torques.reshape(before + count, parts, 3, 2)) / parts
-    return np.asarray(means[before:])
+    means = np.einsum("s,kpsj->kj", METHOD.whole, torques.reshape(total, parts, 3, 2)) / parts
+    return np.asarray(means[before : before + count])
 
 
 def assumed_dynamics(context: LoopContext, payload: float | None) -> casadi.Function:
