@@ -11,7 +11,7 @@ from paper_scene import SCENE
 from speed_figure import SpeedFigure
 
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant
 from flexfmu.model.reference_design.joint_spline import fitted
 
 PAYLOADS, INTERVALS, REPEAT = 7, 40, 5
@@ -21,8 +21,8 @@ def design_figures() -> Iterator[SpeedFigure]:
     """The response to a spline of 40 intervals, two steps for each, with derivatives by its 74 coefficients and the duration."""
     motion = fitted(plan(SCENE).joints, INTERVALS)
     mass = SCENE.payload.mass
-    variants = [{"payload.mass": mass * share} for share in np.linspace(0.7, 1.3, PAYLOADS)]
-    response = ElasticResponse(SCENE, variants, motion.coefficients[0], 2 * INTERVALS)
+    robots = [RobotVariant(SCENE, {"payload.mass": mass * share}) for share in np.linspace(0.7, 1.3, PAYLOADS)]
+    response = ElasticResponse(robots, motion.coefficients[0], 2 * INTERVALS)
     times = []
     for share in np.linspace(0.99, 1.01, REPEAT):
         start = process_time()

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, reduce
 from itertools import groupby
 from typing import Any, Self
@@ -21,7 +21,7 @@ from typing import Any, Self
 import casadi
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh, expm
+from scipy.linalg import expm
 
 from flexfmu.model.beams import LINKS, fibre_strains
 from flexfmu.model.collocation import collocation
@@ -94,11 +94,9 @@ class ElasticResponse:
     """The elastic response of P variants of a robot to references of its joints, from static equilibrium.
 
     Args:
-        scene: the robot.
-        variants: values of the FMU's parameters that differ from the scene's, by name, ``{"payload.mass": 4.2}`` for example.
+        robots: the variants, of one scene.
         start: joint angles before the motion (2,) [rad].
         steps: number of equal steps of the integration.
-        evaluate: makes functions that are evaluated at many points at once, by numpy or compiled.
         accuracy: change of an elastic coordinate [m or rad] below which Newton's method ends.
         shared: number of steps, a divisor of all, that share a matrix of Newton's method where no derivatives are wanted.
         loads: further outputs, in the order of `LINK_LOADS`.
@@ -110,16 +108,14 @@ class ElasticResponse:
 
     def __init__(
         self,
-        scene: Scene,
-        variants: Sequence[Mapping[str, float]],
+        robots: Sequence[RobotVariant],
         start: RealArray,
         steps: int,
-        evaluate: Evaluate = Vectorised,
         accuracy: float = CONVERGED,
         shared: int = 1,
         loads: tuple[str, ...] = (),
     ) -> None:
-        self.model = VariantModel(scene, variants, evaluate, loads)
+        self.model = VariantModel(robots, loads)
         self.steps, self._accuracy, self._shared = steps, accuracy, shared
         self.fractions = ((np.arange(steps)[:, np.newaxis] + METHOD.nodes) / steps).ravel()
         self._start = self.model.rest(start).elastic
@@ -368,19 +364,8 @@ class FleetResponse:
     ) -> None:
         scenes = [[*group] for _, group in groupby(robots, key=lambda each: id(each.scene))]
         groups = [group[k : k + TOGETHER] for group in scenes for k in range(0, len(group), TOGETHER)]
-        self.parts = [
-            ElasticResponse(
-                group[0].scene,
-                [each.changes for each in group],
-                start,
-                steps,
-                group[0].evaluate,
-                NEARLY,
-                math.gcd(steps, SHARED),
-                loads,
-            )
-            for group in groups
-        ]
+        shared = math.gcd(steps, SHARED)
+        self.parts = [ElasticResponse(group, start, steps, NEARLY, shared, loads) for group in groups]
         self.fractions = self.parts[0].fractions
 
     def of_motion(self, motion: DesignedMotion, *, derivatives: bool = True) -> Response:
@@ -427,11 +412,11 @@ class RobotVariant:
     Attributes:
         scene: the scene.
         changes: values of the FMU's parameters that differ from the scene's, by name, ``{"payload.mass": 4.2}`` for example.
-        evaluate: makes its functions, see `ElasticResponse`.
+        evaluate: makes its functions, which are evaluated at many points at once, by numpy or compiled.
     """
 
     scene: Scene
-    changes: Mapping[str, float]
+    changes: Mapping[str, float] = field(default_factory=dict)
     evaluate: Evaluate = Vectorised
 
 
@@ -477,25 +462,17 @@ class VariantModel:
     """Forces on the n elastic coordinates, motor torques and end effector of P variants of a robot.
 
     Args:
-        scene: the robot.
-        variants: values of the FMU's parameters that differ from the scene's, by name.
-        evaluate: makes functions that are evaluated at many points at once.
+        robots: the variants, of one scene.
         loads: further outputs, in the order of `LINK_LOADS`.
 
     Raises:
         SceneError: a parameter doesn't exist.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        variants: Sequence[Mapping[str, float]],
-        evaluate: Evaluate = Vectorised,
-        loads: tuple[str, ...] = (),
-    ) -> None:
-        functions = _functions(scene, evaluate, loads)
+    def __init__(self, robots: Sequence[RobotVariant], loads: tuple[str, ...] = ()) -> None:
+        functions = _functions(robots[0].scene, robots[0].evaluate, loads)
         self.n, self._values, self._linear = functions.n, functions.values, functions.linear
-        self.parameters = functions.parameters(variants)
+        self.parameters = functions.parameters([each.changes for each in robots])
 
     def values(self, q: RealArray, v: RealArray, a: RealArray, references: RealArray) -> RealArray:
         """[forces, torques, position, loads] at N instants of all variants, (P, N, n + k).
@@ -551,14 +528,13 @@ class VariantModel:
 
 def free_modes(rest: Rest) -> FreeModes:
     """Undamped modes about rest."""
-    n = rest.elastic.shape[1]
-    found = []
-    for jacobian in rest.jacobian:
-        stiffness, mass = jacobian[:n, :n], jacobian[:n, 2 * n : 3 * n]
-        squares, shapes = eigh(0.5 * (stiffness + stiffness.T), 0.5 * (mass + mass.T))
-        found.append((np.sqrt(squares), shapes.T @ mass, jacobian[n + 2 : n + 4, :n] @ shapes))
-    frequencies, coordinates, displacements = (np.array(each) for each in zip(*found, strict=True))
-    return FreeModes(frequencies, coordinates, displacements)
+    n, mass = rest.elastic.shape[1], rest.mass
+    stiffness = 0.5 * (rest.jacobian[:, :n, :n] + rest.jacobian[:, :n, :n].swapaxes(1, 2))
+    # coordinates of unit mass
+    unit = np.linalg.inv(np.linalg.cholesky(mass))
+    squares, vectors = np.linalg.eigh(unit @ stiffness @ unit.swapaxes(1, 2))
+    shapes = unit.swapaxes(1, 2) @ vectors
+    return FreeModes(np.sqrt(squares), shapes.swapaxes(1, 2) @ mass, rest.jacobian[:, n + 2 : n + 4, :n] @ shapes)
 
 
 def free_systems(rest: Rest) -> RealArray:

@@ -20,7 +20,7 @@ from scipy.sparse import bsr_array, csc_array
 from scipy.sparse.linalg import splu
 
 from flexfmu.model.one_thread import one_blas_thread
-from flexfmu.model.reference_design.elastic_response import VariantModel
+from flexfmu.model.reference_design.elastic_response import RobotVariant, VariantModel
 from flexfmu.model.reference_design.joint_spline import JointSpline, basis, rest_matrix
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
@@ -112,7 +112,7 @@ def flexible_references(
     targets = motion.evaluate(times, 0)[0]
     matrices = [basis(DEGREE, intervals, knots, k) @ rest / duration**k for k in range(3)]
     # Newton's method over all coefficients, from the rigid robot's motion on
-    model = VariantModel(scene, [{}])
+    model = VariantModel([RobotVariant(scene)])
     free = np.zeros((len(knots), 2 + model.n))
     free[:, :2] = rigid.evaluate(np.clip(times, 0.0, rigid.duration), 0)[0]
     for _ in range(ITERATIONS):

@@ -878,7 +878,7 @@ def optimal_motion(
 def _parts(way: Way) -> int:
     """Steps of the integration for each interval of a way's splines, at least two."""
     robot, motion = way.robots[0], way.start
-    rest = VariantModel(robot.scene, [robot.changes], robot.evaluate).rest(motion.evaluate(0.0, 0)[0, 0])
+    rest = VariantModel([robot]).rest(motion.evaluate(0.0, 0)[0, 0])
     highest = float(free_modes(rest).frequencies[:, :2].max(initial=0.0))
     return max(2, math.ceil(highest * motion.duration / motion.intervals / PHASE))
 

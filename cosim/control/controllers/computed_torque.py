@@ -21,7 +21,7 @@ from flexfmu.cosim.control.controllers.joints import TORQUE, joint_block, joint_
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.model import numeric
-from flexfmu.model.reference_design.elastic_response import METHOD, SHARED, ElasticResponse
+from flexfmu.model.reference_design.elastic_response import METHOD, SHARED, ElasticResponse, RobotVariant
 from flexfmu.model.scene.controllers import ComputedTorqueSection, FeedforwardSection, GravityFeedforwardSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
@@ -141,7 +141,7 @@ def mean_torques(
     before, count = ceil(offset / sample_time), max(1, ceil((stop_time - offset) / sample_time))
     total, parts = SHARED * ceil((before + count) / SHARED), ceil(sample_time / STEP)
     duration, start = total * sample_time, joints.evaluate(0.0, 0, "left")[0, 0]
-    response = ElasticResponse(scene, [{}], start, total * parts, shared=SHARED)
+    response = ElasticResponse([RobotVariant(scene)], start, total * parts, shared=SHARED)
     instants = offset - before * sample_time + duration * response.fractions
     # the motors rest before and after the motion
     references = joints.evaluate(np.clip(instants, 0.0, joints.duration), 2, "left")

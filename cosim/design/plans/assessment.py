@@ -13,7 +13,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.effects.choice import resolved
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.goals import RATES, Goals, Variation, peak_rates
@@ -426,9 +425,9 @@ def _left_vibration(goals: Goals, ways: Sequence[Assessment], cases: Sequence[ND
     starts, ends = list[list[Rest]](), list[ResidualVibration]()
     states, transfers = list[RealArray](), list[RealArray]()
     for of_way, way in zip(goals.ways, ways, strict=True):
-        motion, changes = way.candidate.joints, [each.changes(of_way.scene) for each in way.robots]
+        motion, robots = way.candidate.joints, [each.robot(of_way.scene) for each in way.robots]
         first, last = motion.evaluate([0.0, motion.duration], 0, "right")[0]
-        response = ElasticResponse(of_way.scene, changes, first, STEPS, CompiledAtPoints)
+        response = ElasticResponse(robots, first, STEPS)
         references = np.hstack(list(motion.evaluate(response.fractions * motion.duration, 2, "left")))
         starts.append([response.model.rest(first)])
         ends.append(ResidualVibration([response.model], last))

@@ -104,8 +104,7 @@ class Polygon:
         length = np.hypot(*line.T)[:, np.newaxis]
         normal = np.stack([-line[:, 1], line[:, 0]], axis=-1) / length
         away = self.corners - start[:, np.newaxis]
-        offset = np.einsum("nkj,nj->nk", away, normal)
-        along = np.einsum("nkj,nj->nk", away, line) / length**2
+        offset, along = (np.einsum("nkj,nj->nk", away, each) for each in (normal, line / length**2))
         # beside a corner, or at an end
         beside = np.where((along > 0.0) & (along < 1.0), np.abs(offset), np.inf)
         ends, slopes = (np.stack(each) for each in zip(self.distance(start), self.distance(end), strict=True))
@@ -301,12 +300,11 @@ def interpolated(points: RealArray, where: RealArray, places: RealArray | None =
 
 def _evenly(corners: RealArray) -> RealArray:
     """The corners with more between them, so that all sides are about as long as the shortest half."""
-    side = np.roll(corners, -1, axis=0) - corners
-    length = np.hypot(*side.T)
-    kept = length > TOUCHING
-    corners, side, length = corners[kept], side[kept], length[kept]
+    corners = corners[np.hypot(*(np.roll(corners, -1, axis=0) - corners).T) > TOUCHING]
+    closed = np.concatenate([corners, corners[:1]])
+    length = np.hypot(*np.diff(closed, axis=0).T)
     parts = np.ceil(length / (1.5 * np.median(length))).astype(int)
-    return np.concatenate([a + b * (np.arange(n) / n)[:, None] for a, b, n in zip(corners, side, parts, strict=True)])
+    return interpolated(closed, np.concatenate([k + np.arange(n) / n for k, n in enumerate(parts)]))
 
 
 def clearance_of_trace(trace: RealArray, corridor: float, below: float) -> Clearance:

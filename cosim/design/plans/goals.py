@@ -20,7 +20,7 @@ from flexfmu.cosim.experiment.cycles import Reversed
 from flexfmu.cosim.experiment.parameters import scene_parameters, scene_with_parameters
 from flexfmu.cosim.experiment.planning import MotionPlan, plan, plan_own
 from flexfmu.cosim.metrics.metric_table import PLAN_FIGURES
-from flexfmu.model.reference_design.elastic_response import VariantModel
+from flexfmu.model.reference_design.elastic_response import RobotVariant, VariantModel
 from flexfmu.model.reference_design.loads import Drives
 from flexfmu.model.scene.messages import unit_of
 from flexfmu.model.scene.motion import TrajectorySection
@@ -90,6 +90,10 @@ class Variation:
         found = {name: factor * known[name] for name, factor in factors.items() if factor != 1.0 and known[name]}
         # an FMU without a payload has no parameter for it
         return found | ({"payload.mass": self.payload} if scene.payload.mass else {})
+
+    def robot(self, scene: Scene) -> RobotVariant:
+        """The robot for programmes, of the scene's model."""
+        return RobotVariant(scene, self.changes(scene), CompiledAtPoints)
 
     def of(self, scene: Scene) -> Scene:
         """The scene of this robot."""
@@ -386,7 +390,7 @@ def check_holding_torque(goals: Goals, robots: Sequence[Variation] = (), given: 
         InputError: they can't; no motion keeps to the limit then.
     """
     limit, drives, robots = goals.limits.get("torque"), goals.drives, robots or goals.variations(2)
-    model = VariantModel(goals.scene, [each.changes(goals.scene) for each in robots], CompiledAtPoints)
+    model = VariantModel([each.robot(goals.scene) for each in robots])
     torques = np.abs([model.rest(joints).torque for joints in goals.ends])
     # what allows so much, less than what is needed at either end by each robot and joint, where, and the remedy
     checks = list[tuple[str, RealArray, RealArray, str, str]]()

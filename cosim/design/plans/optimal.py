@@ -17,7 +17,6 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.clearance import RETURN
@@ -368,7 +367,7 @@ def _ways(goals: Goals) -> tuple[list[Robots], list[int], list[Robots]]:
 
 def robots_of(scene: Scene, variations: Sequence[Variation]) -> list[RobotVariant]:
     """The robots of a scene within the bands; equal variations are one robot."""
-    robots = {each: RobotVariant(scene, each.changes(scene), CompiledAtPoints) for each in variations}
+    robots = {each: each.robot(scene) for each in variations}
     return [robots[each] for each in variations]
 
 

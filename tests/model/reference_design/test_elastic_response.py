@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 import flexfmu
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.collocation import collocation
-from flexfmu.model.reference_design.elastic_response import ElasticResponse, _functions, free_modes
+from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant, _functions, free_modes
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis, derivative_matrix, fitted, rest_matrix
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.file import load_scene
@@ -89,7 +89,7 @@ def motion(scene: Scene) -> JointSpline:
 
 
 def response_of(scene: Scene, motion: JointSpline, steps: int = 60) -> ElasticResponse:
-    return ElasticResponse(scene, VARIANTS, motion.coefficients[0], steps)
+    return ElasticResponse([RobotVariant(scene, each) for each in VARIANTS], motion.coefficients[0], steps)
 
 
 def changed(motion: JointSpline, change: RealArray) -> JointSpline:
@@ -168,7 +168,7 @@ def test_variants_at_rest_have_the_equilibria_and_the_frequencies_of_their_scene
 
 def test_an_unknown_parameter_is_named(scene: Scene, motion: JointSpline) -> None:
     with pytest.raises(SceneError, match=r"has no parameter `payload\.weight`"):
-        ElasticResponse(scene, [{"payload.weight": 1.0}], motion.coefficients[0], 10)
+        ElasticResponse([RobotVariant(scene, {"payload.weight": 1.0})], motion.coefficients[0], 10)
 
 
 def test_no_force_in_a_joint_has_a_derivative() -> None:

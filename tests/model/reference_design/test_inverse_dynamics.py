@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flexfmu.model.kinematics import RigidKinematics
-from flexfmu.model.reference_design.elastic_response import ElasticResponse
+from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant
 from flexfmu.model.reference_design.inverse_dynamics import KNOT_SPACING, LEAD, FlexibleReferences, flexible_references
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -45,7 +45,7 @@ def designed(robot: Scene, motion: PiecewisePolynomial, knot_spacing: float = KN
 def followed(robot: Scene, motion: PiecewisePolynomial, design: FlexibleReferences) -> tuple[float, RealArray, float]:
     """Largest distance of the flexible end effector from where it should be [m], its end state, largest error of the torque [N m]."""
     joints = design.motors
-    response = ElasticResponse(robot, [{}], joints.coefficients[0], 4 * joints.intervals)
+    response = ElasticResponse([RobotVariant(robot)], joints.coefficients[0], 4 * joints.intervals)
     found = response.of_motion(joints, derivatives=False)
     time = response.fractions * joints.duration
     error = np.hypot(*(found.position[0] - motion.evaluate(time - LEAD, 0)[0]).T)

@@ -77,7 +77,9 @@ MOTOR = Motor(
 
 @pytest.fixture(scope="module")
 def limits(scene: Scene, variants: list[dict[str, float]], given: JointSpline) -> MotionLimits:
-    response = ElasticResponse(scene, variants, given.coefficients[0], 60).of_motion(given, derivatives=False)
+    response = ElasticResponse([RobotVariant(scene, each) for each in variants], given.coefficients[0], 60).of_motion(
+        given, derivatives=False
+    )
     return MotionLimits({"torque": abs(response.torque).max(axis=1)}, 20.0, 500.0, 4e4, 5e-6, above)
 
 
@@ -115,7 +117,7 @@ def test_derivatives_of_a_cycle_are_those_of_finite_differences(
     # differences are smaller than the errors of motions that are only compared
     monkeypatch.setattr(elastic_response, "NEARLY", 1e-13)
     empty, back = scene.replace({"payload.mass": 0.0}), replace(given, coefficients=given.coefficients[::-1])
-    robots = [[RobotVariant(scene, each) for each in variants[::2]], [RobotVariant(empty, {})]]
+    robots = [[RobotVariant(scene, each) for each in variants[::2]], [RobotVariant(empty)]]
     motions, loads = (
         (given.with_duration(0.25), back.with_duration(0.2)),
         {
@@ -161,7 +163,7 @@ def test_derivatives_of_a_cycle_are_those_of_finite_differences(
 def test_residual_and_loads_of_the_motors_are_those_of_the_fmu(scene: Scene, given: JointSpline) -> None:
     """The residual is bounded; torques, powers, RMS torques over motion and dwell and energies agree, also between instants of the grid."""
     motion = given.with_duration(0.3)
-    elastic = ElasticResponse(scene, [{}], motion.coefficients[0], 128)
+    elastic = ElasticResponse([RobotVariant(scene)], motion.coefficients[0], 128)
     response, vibration = (
         elastic.of_motion(motion, derivatives=False),
         ResidualVibration([elastic.model], motion.coefficients[-1]),
@@ -186,7 +188,7 @@ def test_loads_of_shafts_joints_and_links_are_those_of_the_fmu(scene: Scene, giv
     """Shafts by `motor_loads`, forces by the FMU's outputs, stresses at more places by `link_stresses`."""
     motion, names = given.with_duration(0.3), ("reaction", "stress")
     # torques jump where gears change the direction of their losses
-    elastic = ElasticResponse(scene, [{}], motion.coefficients[0], 512, loads=names)
+    elastic = ElasticResponse([RobotVariant(scene)], motion.coefficients[0], 512, loads=names)
     response, rest = elastic.of_motion(motion, derivatives=False), elastic.model.rest(motion.coefficients[-1])
     motors = (MOTOR, replace(MOTOR, gear_ratio=20.0))
     drives = Drives(motors, scene.effects.motor_inertia)
@@ -239,7 +241,7 @@ def test_limited_references_give_the_fastest_motion_from_rest_to_rest(
 ) -> None:
     """T = 2 √(D / a), with a limited speed D / v + v / a, or (32 D / j)^(1/3); no spline is faster, one of 20 intervals is near."""
     limits = MotionLimits({"torque": np.full((1, 2), WIDE)}, speed, acceleration, jerk, 1e-6, free)
-    *_, last = optimal_motion([Way([RobotVariant(rigid, {})], limits, given)])
+    *_, last = optimal_motion([Way([RobotVariant(rigid)], limits, given)])
     way = abs(np.diff(given.coefficients[[0, -1]], axis=0)).max()
     fastest = (32 * way / jerk) ** (1 / 3)
     if jerk == WIDE:
@@ -251,11 +253,11 @@ def test_limited_references_give_the_fastest_motion_from_rest_to_rest(
 def test_a_limit_that_time_hardly_moves_is_kept_from_the_first_motions_on(rigid: Scene, given: JointSpline) -> None:
     """RMS torques that gravity makes for the most part: a programme that would rather miss them than be slow gets a higher price at once."""
     slow, pause = given.with_duration(1.0), 0.25
-    elastic = ElasticResponse(rigid, [{}], slow.coefficients[0], 60)
+    elastic = ElasticResponse([RobotVariant(rigid)], slow.coefficients[0], 60)
     response = elastic.of_motion(slow, derivatives=False)
     squares = Loads(response, elastic.model.rest(slow.coefficients[-1]).torque, pause).of_cycle("rms_torque")
     limits = MotionLimits({"torque": np.full((1, 2), WIDE)}, WIDE, WIDE, WIDE, 1e-6, above, pause=pause)
-    way = Way([RobotVariant(rigid, {})], limits, slow.with_duration(0.65))
+    way = Way([RobotVariant(rigid)], limits, slow.with_duration(0.65))
     found = list(optimal_motion([way], {"rms_torque": np.sqrt(squares / (1.0 + pause))}))
     assert found[-1].checked
     assert found[-1].motions[0].duration < 0.63
@@ -290,7 +292,7 @@ def test_gripping_and_leaving_a_payload_gives_no_energy_to_vibration(seed: int) 
     scene = load_scene("barnard2012-6kg").replace({"effects.damping": {"kind": "none"}})
     masses, cases = random.uniform(0.1, 8.0, (2, 5)), np.arange(5)
     pose = plan(scene).joints.evaluate(random.uniform(0.0, 0.43), 0, "left")[0, 0]
-    models = [VariantModel(scene, [{"payload.mass": float(m)} for m in each]) for each in masses]
+    models = [VariantModel([RobotVariant(scene, {"payload.mass": float(m)}) for m in each]) for each in masses]
     rests = [[model.rest(pose)] for model in models]
     left = LeftVibration(rests, rests, random.uniform(0.01, 0.3, 2).tolist(), [cases, cases])
     n = rests[0][0].elastic.shape[1]

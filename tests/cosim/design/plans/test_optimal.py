@@ -150,12 +150,12 @@ def test_what_the_fmu_finds_beyond_a_limit_is_taken_off_it(
         "plan.limits": limits,
     }
     goals = goals_of(SCENE.replace(wishes))
-    variants = [each.changes(goals.scene) for each in goals.variations(3)]
+    robots = [RobotVariant(goals.scene, each.changes(goals.scene)) for each in goals.variations(3)]
 
     def optimistic(ways: list[Way], *_: object, **__: object) -> Iterator[Improvement]:
         start, limits = ways[0].start, ways[0].limits
         forces = {name: each[:3] for name, each in limits.loads.items() if name == "reaction"}
-        response = ElasticResponse(goals.scene, variants, start.coefficients[0], 60, loads=(*forces,))
+        response = ElasticResponse(robots, start.coefficients[0], 60, loads=(*forces,))
         for duration in np.arange(0.3, 1.2, 0.03):
             found = response.of_motion(motion := start.with_duration(float(duration)), derivatives=False)
             is_met = (np.abs(found.torque).max(axis=1) < 1.2 * limits.loads["torque"][:3]).all()
@@ -181,7 +181,7 @@ def test_what_settles_is_bounded_as_the_fmu_settles(ratio: float, mass: float, t
     keys = {"effects.damping": damping, "payload.mass": mass, "trajectory.duration": time, "trajectory.dwell": 0.6}
     scene = load_scene("barnard2012-6kg").replace({**keys, "effects.proximal_bending": 2, "effects.distal_axial": 1})
     spline = fitted(flexfmu.reference_motion(scene).joints, 20)
-    response = ElasticResponse(scene, [{}], spline.coefficients[0], 400, CompiledAtPoints)
+    response = ElasticResponse([RobotVariant(scene, {}, CompiledAtPoints)], spline.coefficients[0], 400)
     state, last = response.of_motion(spline, derivatives=False).end, spline.coefficients[-1]
     run = flexfmu.run(scene, trajectory=spline.trajectory(), tolerance=1e-9)
     points = np.column_stack([run.recording[f"end_effector.position.{axis}"].values for axis in "xy"])
