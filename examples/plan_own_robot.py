@@ -1,6 +1,6 @@
 """A faster motion for a robot of your own: planned within limits, judged in the FMU, and written as a scene that every command takes.
 
-The same from a shell, with all methods and the motion judged in other models too: flexfmu plan steel.toml
+The same from a shell, with the motion judged in other models too: flexfmu plan steel.toml
 
     python plan_own_robot.py
 """

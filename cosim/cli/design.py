@@ -588,7 +588,8 @@ def plan(
         pause (SECONDS): Plan a cycle that rests so long at each place. Default: the scene's, or 0.1 in a cycle.
         front (FIGURES): Also the front of two or three figures, time,power for example, by optimal control: time, residual, energy, power,
             rms_torque, jerk, with what is minimised among them. Default: the scene's, or the front of all motions found.
-        method (NAME): search, flexible or optimal; may be repeated. Default: all.
+        method (NAME): search, flexible or optimal; may be repeated. Default: optimal, and all of them beside a front or where it finds no
+            motion within all limits.
         candidate (FILE.csv): A motion of your own, of joints or end effector, to compare; may be repeated.
             Default: none.
         warm_start (DIR): The folder of an earlier plan, for another start or payload for example: optimal control goes on from its motion, in
@@ -611,7 +612,7 @@ def plan(
     from flexfmu.cosim.design.identification.result import Identification
     from flexfmu.cosim.design.plans.assessment import own_candidate
     from flexfmu.cosim.design.plans.plan_result import check_drive, planned_scenes, summary, write_plan, write_scene
-    from flexfmu.cosim.design.plans.planner import METHODS, about_plan, plan_scene
+    from flexfmu.cosim.design.plans.planner import about_plan, plan_scene
     from flexfmu.cosim.engine.files import write_whole
     from flexfmu.cosim.many.journal import WorkJournal
     from flexfmu.trajectories.table import read_table
@@ -646,7 +647,7 @@ def plan(
     with console.progress() as show:
         result = plan_scene(
             robot,
-            methods=method or (("optimal",) if before else METHODS),
+            methods=method,
             candidates=[own_candidate(robot, path.name, read_table(path).trajectory()) for path in candidate or ()],
             before=before,
             processes=processes or os.cpu_count() or 1,

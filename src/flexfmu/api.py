@@ -493,7 +493,8 @@ def plan_motion(
 
     Args:
         scene: a scene, the path of a scene file, or the name of a shipped scene.
-        methods: which of ``search``, ``flexible`` and ``optimal``; None for all, with a warm start for ``optimal``.
+        methods: which of ``search``, ``flexible`` and ``optimal``; None for ``optimal``, and for all beside a front or where it finds no
+            motion within all limits.
         candidates: name → further motion to compare with those found, as `run` takes it.
         warm_start: folder of an earlier plan, whose motion optimal control goes on from; None for a plan from the beginning.
         processes: number of processes of the search; None for one on each processor.
@@ -519,7 +520,7 @@ def plan_motion(
     """
     from flexfmu.cosim.design.plans.assessment import own_candidate
     from flexfmu.cosim.design.plans.plan_result import planned_scenes, write_plan
-    from flexfmu.cosim.design.plans.planner import METHODS, about_plan, plan_scene
+    from flexfmu.cosim.design.plans.planner import about_plan, plan_scene
     from flexfmu.cosim.many.journal import WorkJournal
 
     robot = as_scene(scene)
@@ -529,7 +530,7 @@ def plan_motion(
     journal = WorkJournal(None if out is None else Path(out), "plan", about_plan(robot, before), restart=restart)
     result = plan_scene(
         robot,
-        methods=(("optimal",) if before else METHODS) if methods is None else tuple(methods),
+        methods=methods,
         before=before,
         candidates=[own_candidate(robot, name, motion) for name, motion in (candidates or {}).items()],
         processes=processes or os.cpu_count() or 1,

@@ -106,7 +106,7 @@ LOOPS: Mapping[str, Sequence[Mapping[str, Any]]] = {
 def plan_scene(
     scene: Scene,
     *,
-    methods: Collection[str] = METHODS,
+    methods: Collection[str] | None = None,
     candidates: Sequence[Candidate] = (),
     before: Sequence[Scene] = (),
     processes: int = 1,
@@ -119,9 +119,9 @@ def plan_scene(
 
     Args:
         scene: the scene.
-        methods: which of `METHODS`.
+        methods: which of `METHODS`; None for optimal control, and for all of them beside a front or where it finds no motion within all limits.
         candidates: further motions that are assessed beside those found.
-        before: the planned scenes of an earlier plan, one for each way: optimal control goes on from them, and alone unless ``methods`` has more.
+        before: the planned scenes of an earlier plan, one for each way: optimal control goes on from them, alone without ``methods``.
         processes: number of processes of the search.
         budget: time [s] after which it ends as after Ctrl-C; None for no limit.
         robust: whether the chosen motion is judged in richer models too.
@@ -135,11 +135,15 @@ def plan_scene(
         InputError: wishes contradict each other, or a method is unknown.
         TrajectoryError, SceneError, BuildError, ResultsError: the given motion can't be planned or run.
     """
-    if unknown := [name for name in methods if name not in METHODS]:
+    if unknown := [name for name in methods or () if name not in METHODS]:
         raise InputError(f"unknown method {', '.join(unknown)}; choose from {', '.join(METHODS)}")
     work, clock = processor_time(), monotonic()
     goals = checked_goals(scene)
-    count, is_optimal, named = len(goals.ways), "optimal" in methods, ", ".join(methods)
+    stages = [["optimal"], [*METHODS]] if methods is None else [[*methods]]
+    if methods is None and (before or goals.cycle or goals.wishes.front):
+        # other methods know neither earlier plans nor cycles, and stand beside a front
+        stages = stages[:1] if before or goals.cycle else stages[1:]
+    count, is_optimal, named = len(goals.ways), "optimal" in stages[0], ", ".join(stages[0])
     wrong = ""
     if before and len(before) != count:
         wrong = f"the earlier plan has {len(before)} motions, and this one {count}: warm starts are from as many ways"
@@ -147,7 +151,7 @@ def plan_scene(
         wrong = "optimal control goes on from an earlier plan: choose the method optimal too, or start anew"
     elif goals.cycle and candidates:
         wrong = "motions of your own are compared with single motions: leave out `plan.cycle`, or the motions"
-    elif goals.cycle and methods and not is_optimal:
+    elif goals.cycle and stages[0] and not is_optimal:
         wrong = f"a cycle is planned by optimal control alone, not by {named}: choose it, or leave out `plan.cycle`"
     elif goals.wishes.front and not is_optimal:
         wrong = "`plan.front` is found by optimal control: choose the method optimal too, or leave out the front"
@@ -156,7 +160,7 @@ def plan_scene(
     goals = replace(goals, before=tuple(plan(each).once.joints for each in before))
     if goals.cycle:
         # other methods and models are for single motions
-        methods, robust = [name for name in methods if name == "optimal"], False
+        stages, robust = [[name for name in stages[0] if name == "optimal"]], False
     show("the given motion", None)
     PreparedScene(scene).check_size(companion=False)
     judge, is_new = Judge(goals, journal=journal), not journal.done
@@ -179,9 +183,12 @@ def plan_scene(
 
     def proposed() -> Iterator[Candidate | str]:
         yield from candidates
-        for name in (each for each in METHODS if each in methods):
-            with noted(failures, name):
-                yield from METHODS[name](judge, found, processes, watched)
+        for stage in stages:
+            for name in (each for each in METHODS if each in stage):
+                with noted(failures, name):
+                    yield from METHODS[name](judge, found, processes, watched)
+            if any(each.feasible and each.candidate.method == "optimal control" for each in found):
+                return
 
     def watched(text: str, share: float | None) -> None:
         show(text, share)
@@ -211,7 +218,9 @@ def plan_scene(
         for each in interruption.args:
             assess(each)
     chosen, work = best(found, goals.wishes.minimise), processor_time() - work
-    return PlanResult(goals, judge.given, chosen, tuple(found[1:]), tuple(failures), interrupted, work, tuple(lines))
+    return PlanResult(
+        goals, judge.given, chosen, tuple(found[1:]), tuple(dict.fromkeys(failures)), interrupted, work, tuple(lines)
+    )
 
 
 def about_plan(scene: Scene, before: Sequence[Scene]) -> dict[str, Any]:
