@@ -16,6 +16,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline
+from scipy.linalg import block_diag
 
 from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.errors import TrajectoryError, positive
@@ -79,12 +80,9 @@ class DesignedMotion(Protocol):
         """Return values (c,) that must not be positive for a motion to exist, and their derivatives (c, m)."""
         ...
 
-    def scale(self, unit: float) -> RealArray:
-        """Return the size (m,) of changes that count alike, for a usual duration [s]."""
-        ...
-
-    def metric(self, unit: float) -> RealArray:
-        """Return the squared size (m, m) of changes of the acceleration, relative to the largest one, and of the duration."""
+    def measures(self, unit: float) -> tuple[RealArray, RealArray]:
+        """Return the size (m,) of changes that count alike, for a usual duration [s], and the squared size (m, m) of changes of the
+        acceleration, relative to the largest one, and of the duration."""
         ...
 
 
@@ -182,17 +180,14 @@ class JointSpline:
         """Return no conditions: a motion exists with any coefficients."""
         return np.zeros(0), np.zeros((0, len(self.variables)))
 
-    def scale(self, unit: float) -> RealArray:
-        """Return the size (m,) of changes that count alike: the swing of the joints, and a usual duration [s]."""
+    def measures(self, unit: float) -> tuple[RealArray, RealArray]:
+        """Return the size (m,) of changes that count alike, the swing of the joints and a usual duration [s], and the squared size (m, m) of
+        changes of the acceleration, relative to the largest one, and of the duration."""
         swing = float(np.ptp(self.coefficients, axis=0).max())
-        return np.append(np.full(len(self.variables) - 1, swing), unit)
-
-    def metric(self, unit: float) -> RealArray:
-        """Return the squared size (m, m) of changes of the acceleration, relative to the largest one, and of the duration."""
         curve = derivative_matrix(self.degree, self.intervals, 2, self.crowding)
         by_free = curve[:, REST:-REST]
-        found = np.kron(np.eye(2), by_free.T @ by_free) / np.abs(curve @ self.coefficients).max() ** 2
-        return np.pad(found, (0, 1)) + np.diag(np.append(np.zeros(len(found)), 0.1 * len(curve) / unit**2))
+        metric = np.kron(np.eye(2), by_free.T @ by_free) / np.abs(curve @ self.coefficients).max() ** 2
+        return np.append(np.full(len(metric), swing), unit), block_diag(metric, [0.1 * len(curve) / unit**2])
 
     def _derived(self, order: int) -> RealArray:
         """The matrix from coefficients to those of a derivative that aren't zero at rest."""

@@ -456,7 +456,7 @@ class _WayProgramme:
         self._largest = [np.broadcast_to(getattr(way.limits, name), 2) for name in RATES]
         # of each load at all instants; link loads have one limit each for all their places
         self._units = {name: each.reshape(len(each), 1, -1) for name, each in way.limits.loads.items()}
-        self.scale, self.metric = start.scale(unit), start.metric(unit)
+        self.scale, self.metric = start.measures(unit)
         self.columns = slice(first, first + len(self.scale))
         self.effort = _effort(aim, self.state(start, derivatives=False).loads) if aim in EFFORTS else None
 

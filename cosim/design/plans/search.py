@@ -451,7 +451,7 @@ class FamilyMotion:
         if key not in self._known:
             here, found = self.evaluate(fractions), np.zeros((len(fractions), 6, len(self.variables)))
             # towards the middle of the bounds
-            steps = DIFFERENCE * self.scale(self.duration)
+            steps = DIFFERENCE * np.append(np.ptp(self.bounds, axis=0), self.duration)
             steps[:-1] *= np.where(self.numbers > self.bounds.mean(axis=0), -1.0, 1.0)
             for k, step in enumerate(steps.tolist()):
                 change = np.zeros(len(steps))
@@ -480,13 +480,10 @@ class FamilyMotion:
         slopes[:, LAW] = -waves
         return SLOWEST - 1.0 + slopes @ self.variables, slopes
 
-    def scale(self, unit: float) -> RealArray:
-        """Return the size of changes that count alike: from bound to bound, and a usual duration [s]."""
-        return np.append(np.ptp(self.bounds, axis=0), unit)
-
-    def metric(self, unit: float) -> RealArray:
-        """Return the squared size (n + 1, n + 1) of changes of the acceleration, relative to the largest one, and of the duration."""
+    def measures(self, unit: float) -> tuple[RealArray, RealArray]:
+        """Return the size of changes that count alike, from bound to bound and a usual duration [s], and the squared size (n + 1, n + 1) of changes
+        of the acceleration, relative to the largest one, and of the duration."""
         fractions = np.linspace(0.0, 1.0, INTERVALS + 1)
         by = self.derivatives(fractions)[:, 4:, :-1].reshape(-1, len(self.numbers))
         by /= np.abs(self.evaluate(fractions)[2]).max()
-        return block_diag(by.T @ by, [0.1 * INTERVALS / unit**2])
+        return np.append(np.ptp(self.bounds, axis=0), unit), block_diag(by.T @ by, [0.1 * INTERVALS / unit**2])

@@ -115,7 +115,7 @@ def test_derivatives_of_limits_are_those_of_longer_differences(
     motion = first[number].with_duration(0.25)
     stage = Stage([replace(way[0], start=motion)], way[1], 2, [0.3])
     linear = stage.linear(stage.state((motion,)))
-    direction = 1e-3 * np.random.default_rng(0).standard_normal(len(motion.numbers) + 1) * motion.scale(0.3)
+    direction = 1e-3 * np.random.default_rng(0).standard_normal(len(motion.numbers) + 1) * motion.measures(0.3)[0]
 
     def moved(sign: int) -> list[Any]:
         found = stage.state((motion.moved(sign * direction),), derivatives=False)
