@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.design.plans.assessment import STEP, Assessment, Candidate, Judge, noted
+from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, noted
 from flexfmu.cosim.design.plans.goals import (
     Goals,
     Variation,
@@ -75,7 +75,7 @@ BANDS = {
 PAYLOADS = 7
 """Payloads within the band for each model."""
 
-ELEMENTS, ELEMENT_STEP, ELEMENT_DWELL = 4, 2.5e-4, 0.06
+ELEMENTS, ELEMENT_STEP, ELEMENT_DWELL = 4, 4e-4, 0.06
 """Elements of a link, step [s], and standstill after the motion [s] of the finite elements."""
 
 SAMPLE_TIME, COUNTS, MOTOR_INERTIA = 1e-3, 1e6, 0.1
@@ -303,9 +303,9 @@ def _by_elements(name: str, fixed: Candidate, scene: Scene) -> RobustnessLine:
     time = 2.0 * float(modes.ratios[0]) / (2.0 * np.pi * float(modes.frequencies[0])) if len(modes.ratios) else 0.0
     damping = {"kind": "stiffness", "time": time} if time > 0.0 else {"kind": "none"}
     robot = finite_element_robot(scene.replace({"effects.damping": damping}), ELEMENTS)
-    count = round((motion.duration + ELEMENT_DWELL) / STEP)
-    instants = np.append(STEP * np.arange(1.0, count), motion.duration + ELEMENT_DWELL)
-    found = simulate(robot, motion, np.unique(np.append(instants, motion.duration)), ELEMENT_STEP)
+    stop = motion.duration + ELEMENT_DWELL
+    instants = np.arange(ELEMENT_STEP, stop - 0.5 * ELEMENT_STEP, ELEMENT_STEP)
+    found = simulate(robot, motion, np.union1d(instants, [motion.duration, stop]), ELEMENT_STEP)
     after = found.time >= motion.duration - 1e-9
     rest = equilibrium(robot, end).position
     residual = float(np.hypot(*(found.position[after] - rest).T).max())
