@@ -422,40 +422,48 @@ class RobotVariant:
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """P variants at rest with locked motors.
+    """P variants at rest with locked motors, and their free vibration about it.
 
     Attributes:
         elastic: elastic coordinates (P, n).
         position: end effector (P, 2) [m].
         torque: motor torques (P, 2) [N m].
-        jacobian: derivatives of [forces, torques, position, loads] by [q, v, a, u], (P, n + k, 3 n + 6).
+        stiffness, damping, mass: derivatives (P, n, n) of the forces on the elastic coordinates by these, their rates and accelerations.
+        displacement: derivatives (P, 2, n) of the end effector by them.
     """
 
     elastic: RealArray
     position: RealArray
     torque: RealArray
-    jacobian: RealArray
+    stiffness: RealArray
+    damping: RealArray
+    mass: RealArray
+    displacement: RealArray
 
     @property
-    def mass(self) -> RealArray:
-        """Mass matrices (P, n, n) of the elastic coordinates."""
-        n = self.elastic.shape[1]
-        return self.jacobian[:, :n, 2 * n : 3 * n]
+    def modes(self) -> tuple[RealArray, RealArray]:
+        """Undamped modes in ascending order: angular frequencies (P, n) [rad/s], and shapes with unit mass as columns (P, n, n)."""
+        # coordinates of unit mass
+        unit = np.linalg.inv(np.linalg.cholesky(self.mass))
+        stiffness = 0.5 * (self.stiffness + self.stiffness.swapaxes(1, 2))
+        squares, vectors = np.linalg.eigh(unit @ stiffness @ unit.swapaxes(1, 2))
+        return np.sqrt(squares), unit.swapaxes(1, 2) @ vectors
 
+    @property
+    def system(self) -> RealArray:
+        """Matrices (P, 2 n, 2 n) of the free vibration: rates and accelerations by elastic coordinates and rates."""
+        accelerations = np.linalg.solve(self.mass, -np.concatenate([self.stiffness, self.damping], axis=2))
+        rates = np.eye(accelerations.shape[2])[accelerations.shape[1] :]
+        return np.concatenate([np.broadcast_to(rates, accelerations.shape), accelerations], axis=1)
 
-@dataclass(frozen=True, eq=False)
-class FreeModes:
-    """Undamped modes of P variants about rest, in ascending order.
-
-    Attributes:
-        frequencies: angular frequencies (P, n) [rad/s].
-        coordinates: matrices (P, n, n) from elastic coordinates to modal ones, with modes of unit mass.
-        displacements: of the end effector by a unit of each modal coordinate, (P, 2, n) [m].
-    """
-
-    frequencies: RealArray
-    coordinates: RealArray
-    displacements: RealArray
+    def motion(self, first: float, step: float, count: int) -> RealArray:
+        """End effector (P, count, 2, 2, n) at equidistant times [s] of a free vibration by elastic coordinates and rates at its start."""
+        n, moved, steps = self.elastic.shape[1], expm(self.system * first), expm(self.system * step)
+        found = np.empty((len(moved), count, 2, 2 * n))
+        for k in range(count):
+            found[:, k] = self.displacement @ moved[:, :n]
+            moved = steps @ moved
+        return found.reshape(len(moved), count, 2, 2, n)
 
 
 class VariantModel:
@@ -470,9 +478,15 @@ class VariantModel:
     """
 
     def __init__(self, robots: Sequence[RobotVariant], loads: tuple[str, ...] = ()) -> None:
-        functions = _functions(robots[0].scene, robots[0].evaluate, loads)
-        self.n, self._values, self._linear = functions.n, functions.values, functions.linear
-        self.parameters = functions.parameters([each.changes for each in robots])
+        scene = robots[0].scene
+        five_bar, self._values, self._linear, derive = _functions(scene, robots[0].evaluate, loads)
+        self.n = five_bar.elastic.numel()
+        start = {variable.name: float(variable.start or 0.0) for variable in five_bar.registry.variables}
+        for robot in robots:
+            for key in robot.changes.keys() - start.keys():
+                raise SceneError(f"scene {scene.name} has no parameter `{key}`; it has {', '.join(start)}")
+        values = [[*(start | dict(robot.changes)).values()] for robot in robots]
+        self._parameters = np.array([derive(each).full().ravel() for each in values])
 
     def values(self, q: RealArray, v: RealArray, a: RealArray, references: RealArray) -> RealArray:
         """[forces, torques, position, loads] at N instants of all variants, (P, N, n + k).
@@ -499,7 +513,7 @@ class VariantModel:
             EquilibriumError: Newton's method doesn't converge.
         """
         n, references = self.n, np.concatenate([joints, np.zeros(4)])[np.newaxis]
-        q = np.zeros((len(self.parameters), 1, n))
+        q = np.zeros((len(self._parameters), 1, n))
         zeros = np.zeros_like(q)
         for _ in range(ITERATIONS):
             values, jacobian = self.linearised(q, zeros, zeros, references)
@@ -508,7 +522,9 @@ class VariantModel:
             if not np.isfinite(size):
                 break
             if size < AT_ROUNDING:
-                return Rest(q[:, 0], values[:, 0, n + 2 : n + 4], values[:, 0, n : n + 2], jacobian[:, 0])
+                torque, position, _ = np.split(values[:, 0, n:], (2, 4), axis=1)
+                stiffness, damping, mass = np.split(jacobian[:, 0, :n, : 3 * n], 3, axis=2)
+                return Rest(q[:, 0], position, torque, stiffness, damping, mass, jacobian[:, 0, n + 2 : n + 4, :n])
             q[:, 0] -= change
         raise EquilibriumError(
             f"no static equilibrium with the motors at q11 = {joints[0]:.6g} rad, q21 = {joints[1]:.6g} rad: the pose may be "
@@ -521,69 +537,9 @@ class VariantModel:
         """The results of a function at all instants, each (P, N, size)."""
         count, instants, _ = q.shape
         u = np.broadcast_to(references, (count, instants, 6))
-        parameters = np.repeat(self.parameters, instants, axis=0)
+        parameters = np.repeat(self._parameters, instants, axis=0)
         points = [each.reshape(count * instants, -1) for each in (q, v, a, u)]
         return [each.reshape(count, instants, -1) for each in function([*points, parameters])]
-
-
-def free_modes(rest: Rest) -> FreeModes:
-    """Undamped modes about rest."""
-    n, mass = rest.elastic.shape[1], rest.mass
-    stiffness = 0.5 * (rest.jacobian[:, :n, :n] + rest.jacobian[:, :n, :n].swapaxes(1, 2))
-    # coordinates of unit mass
-    unit = np.linalg.inv(np.linalg.cholesky(mass))
-    squares, vectors = np.linalg.eigh(unit @ stiffness @ unit.swapaxes(1, 2))
-    shapes = unit.swapaxes(1, 2) @ vectors
-    return FreeModes(np.sqrt(squares), shapes.swapaxes(1, 2) @ mass, rest.jacobian[:, n + 2 : n + 4, :n] @ shapes)
-
-
-def free_systems(rest: Rest) -> RealArray:
-    """Matrices (P, 2 n, 2 n) of the free vibration about rest: rates and accelerations by elastic coordinates and rates."""
-    n = rest.elastic.shape[1]
-    by_q, by_v, by_a = (rest.jacobian[:, :n, i * n : (i + 1) * n] for i in range(3))
-    accelerations = np.linalg.solve(by_a, -np.concatenate([by_q, by_v], axis=2))
-    places = np.broadcast_to(np.eye(2 * n)[n:], (len(by_q), n, 2 * n))
-    return np.concatenate([places, accelerations], axis=1)
-
-
-def free_motion(rest: Rest, first: float, step: float, count: int) -> RealArray:
-    """End effector (P, count, 2, 2, n) at equidistant times [s] of a free vibration by elastic coordinates and rates at its start, about rest."""
-    n, systems = rest.elastic.shape[1], free_systems(rest)
-    moved, steps = expm(systems * first), expm(systems * step)
-    found = np.empty((len(systems), count, 2, 2 * n))
-    for k in range(count):
-        found[:, k] = rest.jacobian[:, n + 2 : n + 4, :n] @ moved[:, :n]
-        moved = steps @ moved
-    return found.reshape(len(systems), count, 2, 2, n)
-
-
-@dataclass(frozen=True, eq=False)
-class _Functions:
-    """Functions of a scene's robot, for all values of its parameters.
-
-    Attributes:
-        scene, five_bar: the robot.
-        n: number of elastic coordinates.
-        values: [forces, torques, position, loads] by [q], [v], [a], [q_a, v_a, a_a] and the derived parameters.
-        linear: the same, and their derivatives by all but the parameters.
-        derive: derived parameters of the parameters.
-    """
-
-    scene: Scene
-    five_bar: FiveBar
-    n: int
-    values: PointFunction
-    linear: PointFunction
-    derive: casadi.Function
-
-    def parameters(self, variants: Sequence[Mapping[str, float]]) -> RealArray:
-        """Derived values of the variants' parameters (P, n_derived)."""
-        registry = self.five_bar.registry
-        start = {variable.name: float(variable.start or 0.0) for variable in registry.variables}
-        for variant in variants:
-            for key in variant.keys() - start.keys():
-                raise SceneError(f"scene {self.scene.name} has no parameter `{key}`; it has {', '.join(start)}")
-        return np.array([self.derive(list((start | dict(variant)).values())).full().ravel() for variant in variants])
 
 
 NO_FORCE = 1e-6
@@ -620,7 +576,15 @@ LINK_LOADS: Mapping[str, tuple[int, Callable[[Scene, FiveBar], casadi.SX]]] = {
 
 
 @lru_cache(maxsize=8)
-def _functions(scene: Scene, evaluate: Evaluate, loads: tuple[str, ...] = ()) -> _Functions:
+def _functions(
+    scene: Scene, evaluate: Evaluate, loads: tuple[str, ...] = ()
+) -> tuple[FiveBar, PointFunction, PointFunction, casadi.Function]:
+    """A scene's robot with functions for all values of its parameters.
+
+    Returns:
+        The robot; [forces, torques, position, loads] by [q], [v], [a], [q_a, v_a, a_a] and the derived parameters; the same, and their
+        derivatives by all but the parameters; derived parameters by the parameters.
+    """
     five_bar = assemble(scene)
     further = [LINK_LOADS[name][1](scene, five_bar) for name in loads]
     motion, parameters = five_bar.motion, five_bar.registry.d
@@ -632,4 +596,4 @@ def _functions(scene: Scene, evaluate: Evaluate, loads: tuple[str, ...] = ()) ->
     values = casadi.Function("values", [*arguments, parameters], [casadi.cse(results)])
     linear = casadi.Function("linear", [*arguments, parameters], casadi.cse([results, jacobian]))
     derive = casadi.Function("derive", [five_bar.registry.p], [five_bar.registry.resolved()])
-    return _Functions(scene, five_bar, motion.q_e.numel(), evaluate(values), evaluate(linear), derive)
+    return five_bar, evaluate(values), evaluate(linear), derive

@@ -44,9 +44,6 @@ from flexfmu.model.reference_design.elastic_response import (
     Rest,
     RobotVariant,
     VariantModel,
-    free_modes,
-    free_motion,
-    free_systems,
     joined,
 )
 from flexfmu.model.reference_design.joint_spline import DesignedMotion
@@ -155,8 +152,8 @@ class ResidualVibration:
     @cached_property
     def _moved(self) -> RealArray:
         """End effector at instants after the motion by elastic coordinates and rates at its end, (P, times, 2, 2, n)."""
-        step = 2.0 * math.pi / A_PERIOD / float(free_modes(self.rests[0]).frequencies[:, :2].max(initial=1.0))
-        return joined([free_motion(rest, self._settled_within, step, INSTANTS) for rest in self.rests])
+        step = 2.0 * math.pi / A_PERIOD / float(self.rests[0].modes[0][:, :2].max(initial=1.0))
+        return joined([rest.motion(self._settled_within, step, INSTANTS) for rest in self.rests])
 
     def peaks(self, states: RealArray, robots: NDArray[np.intp]) -> RealArray:
         """The largest displacements (C,) [m] after the motion by states (C, 2, n) of robots (C,)."""
@@ -195,7 +192,7 @@ class LeftVibration:
             for rests in (starts, ends)
         )
         for w, (rests, pause, cases) in enumerate(zip(ends, pauses, of_case, strict=True)):
-            systems = [free_systems(rest) for rest in rests]
+            systems = [rest.system for rest in rests]
             decays = joined(
                 [expm(each * pause).reshape(len(each), 2, n, 2, n) for each in systems for n in [each.shape[1] // 2]]
             )
@@ -232,15 +229,15 @@ class LeftVibration:
 def _to_amplitudes(rest: Rest, settled_within: float) -> RealArray:
     """Matrices (P, 2, k, n) from elastic coordinates and their rates to displacements of the end effector by the k slowest modes, which
     have decayed for a time [s]."""
-    modes, n = free_modes(rest), rest.elastic.shape[1]
-    count = int((modes.frequencies < SLOW * modes.frequencies[:, :1]).any(axis=0).sum())
-    size = np.linalg.norm(modes.displacements, axis=1)[:, :count, np.newaxis]
+    frequencies, shapes = rest.modes
+    count = int((frequencies < SLOW * frequencies[:, :1]).any(axis=0).sum())
+    size = np.linalg.norm(rest.displacement @ shapes, axis=1)[:, :count, np.newaxis]
     if settled_within:
-        shapes = np.linalg.inv(modes.coordinates)
-        damping = np.einsum("pik,pij,pjk->pk", shapes, rest.jacobian[:, :n, n : 2 * n], shapes)
+        damping = np.einsum("pik,pij,pjk->pk", shapes, rest.damping, shapes)
         size = size * np.exp(-0.5 * settled_within * damping)[:, :count, np.newaxis]
-    coordinates = modes.coordinates[:, :count] * size
-    return np.stack([coordinates, coordinates / modes.frequencies[:, :count, np.newaxis]], axis=1)
+    # from elastic coordinates to modal ones
+    coordinates = np.linalg.inv(shapes)[:, :count] * size
+    return np.stack([coordinates, coordinates / frequencies[:, :count, np.newaxis]], axis=1)
 
 
 INSTANTS, A_PERIOD = 200, 16
@@ -879,7 +876,7 @@ def _parts(way: Way) -> int:
     """Steps of the integration for each interval of a way's splines, at least two."""
     robot, motion = way.robots[0], way.start
     rest = VariantModel([robot]).rest(motion.evaluate(0.0, 0)[0, 0])
-    highest = float(free_modes(rest).frequencies[:, :2].max(initial=0.0))
+    highest = float(rest.modes[0][:, :2].max(initial=0.0))
     return max(2, math.ceil(highest * motion.duration / motion.intervals / PHASE))
 
 

@@ -9,13 +9,12 @@ from scipy.interpolate import CubicSpline
 import flexfmu
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.collocation import collocation
-from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant, _functions, free_modes
+from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant, VariantModel
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis, derivative_matrix, fitted, rest_matrix
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import natural_frequencies, static_equilibrium
-from flexfmu.model.vectorised import Vectorised
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import PiecewisePolynomial
@@ -155,15 +154,13 @@ def test_variants_at_rest_have_the_equilibria_and_the_frequencies_of_their_scene
 ) -> None:
     joints = motion.coefficients[-1]
     rest = response_of(scene, motion).model.rest(joints)
-    modes = free_modes(rest)
+    frequencies, _ = rest.modes
     heavy = scene.replace({"payload.mass": 7.8, "mechanism.material.youngs_modulus": 63e9})
     for variant, of_scene in enumerate((scene.replace({"payload.mass": 4.2}), heavy)):
         equilibrium = static_equilibrium(of_scene, joints)
         np.testing.assert_allclose(rest.elastic[variant], equilibrium.elastic, rtol=1e-9, atol=1e-15)
         np.testing.assert_allclose(rest.torque[variant], equilibrium.torque, rtol=1e-9)
-        np.testing.assert_allclose(
-            modes.frequencies[variant] / (2 * np.pi), natural_frequencies(of_scene, joints), rtol=1e-9
-        )
+        np.testing.assert_allclose(frequencies[variant] / (2 * np.pi), natural_frequencies(of_scene, joints), rtol=1e-9)
 
 
 def test_an_unknown_parameter_is_named(scene: Scene, motion: JointSpline) -> None:
@@ -174,9 +171,9 @@ def test_an_unknown_parameter_is_named(scene: Scene, motion: JointSpline) -> Non
 def test_no_force_in_a_joint_has_a_derivative() -> None:
     """Without payload and gravity nothing pulls at rest, where the magnitude of a force has no derivative of its own."""
     scene = load_scene("barnard2012-6kg").replace({"payload.mass": 0.0, "effects.gravity": [0.0, 0.0]})
-    functions = _functions(scene, Vectorised, ("reaction",))
+    model = VariantModel([RobotVariant(scene)], ("reaction",))
     angles = plan(scene).once.joints.evaluate([0.0], 0, "right")[0]
-    still = [np.zeros((1, functions.n))] * 3 + [np.hstack([angles, np.zeros((1, 4))]), functions.parameters([{}])]
-    values, derivatives = functions.linear(still)
-    assert abs(values[0, -4:]).max() < 1e-5
+    still = [np.zeros((1, 1, model.n))] * 3
+    values, derivatives = model.linearised(*still, np.hstack([angles, np.zeros((1, 4))]))
+    assert abs(values[..., -4:]).max() < 1e-5
     assert np.isfinite(derivatives).all()
