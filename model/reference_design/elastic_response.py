@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache, reduce
 from itertools import groupby
 from typing import Any, Self
@@ -40,7 +40,7 @@ Evaluate = Callable[[casadi.Function], PointFunction]
 
 METHOD = collocation("legendre", 3)
 
-CONVERGED, NEARLY = 1e-11, 1e-9
+CONVERGED, COMPARED = 1e-11, 1e-9
 """Newton's method has converged when no elastic coordinate changes by more [m or rad]; positions are wanted to 1e-7 m. The second is for
 motions that are only compared: the last change is an order of magnitude smaller than the one before."""
 
@@ -58,7 +58,7 @@ COLUMNS = 32
 """Variables whose derivatives are found together, for the sake of memory."""
 
 TOGETHER = 3
-"""Variants of a fleet that are solved together: as many as processor caches hold."""
+"""Variants that are solved together: as many as processor caches hold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,15 +91,19 @@ class Response:
 
 
 class ElasticResponse:
-    """The elastic response of P variants of a robot to references of its joints, from static equilibrium.
+    """The elastic response of P robots, each with its own elastic coordinates, to the same references of their joints, from static equilibrium.
 
     Args:
-        robots: the variants, of one scene.
+        robots: the robots; those of one scene follow each other.
         start: joint angles before the motion (2,) [rad].
         steps: number of equal steps of the integration.
-        accuracy: change of an elastic coordinate [m or rad] below which Newton's method ends.
-        shared: number of steps, a divisor of all, that share a matrix of Newton's method where no derivatives are wanted.
         loads: further outputs, in the order of `LINK_LOADS`.
+        accuracy: change of an elastic coordinate [m or rad] below which Newton's method ends.
+        shared: number of steps, at most, that share a matrix of Newton's method where no derivatives are wanted.
+
+    Attributes:
+        models: the robots, those that are solved together in one.
+        fractions: of a motion's duration, at which references are wanted (N,).
 
     Raises:
         SceneError: a parameter doesn't exist.
@@ -111,17 +115,16 @@ class ElasticResponse:
         robots: Sequence[RobotVariant],
         start: RealArray,
         steps: int,
+        loads: tuple[str, ...] = (),
         accuracy: float = CONVERGED,
         shared: int = 1,
-        loads: tuple[str, ...] = (),
     ) -> None:
-        self.model = VariantModel(robots, loads)
-        self.steps, self._accuracy, self._shared = steps, accuracy, shared
+        scenes = [[*group] for _, group in groupby(robots, key=lambda each: id(each.scene))]
+        groups = [group[k : k + TOGETHER] for group in scenes for k in range(0, len(group), TOGETHER)]
+        self.models = [VariantModel(group, loads) for group in groups]
         self.fractions = ((np.arange(steps)[:, np.newaxis] + METHOD.nodes) / steps).ravel()
-        self._start = self.model.rest(start).elastic
-        # stage values z and the matrices from which the next solution starts
-        self._guess = np.zeros((len(self._start), 3 * steps, self.model.n))
-        self._matrices: _Matrices | None = None
+        shared = math.gcd(steps, shared)
+        self._parts = [_Integration(model, start, steps, accuracy, shared) for model in self.models]
 
     def of_motion(self, motion: DesignedMotion, *, derivatives: bool = True) -> Response:
         """The response to a motion from rest to rest, with derivatives by its variables.
@@ -129,12 +132,11 @@ class ElasticResponse:
         Raises:
             EquilibriumError: Newton's method doesn't converge.
         """
-        references = np.hstack(list(motion.evaluate(self.fractions)))
         by = motion.derivatives(self.fractions) if derivatives else None
-        return self.respond(references, motion.duration, by)
+        return self.respond(np.hstack(list(motion.evaluate(self.fractions))), motion.duration, by)
 
     def respond(self, references: RealArray, duration: float, by: RealArray | None = None) -> Response:
-        """The response to joint references.
+        """The response to joint references; the end states of robots with fewer coordinates end with zeros.
 
         Args:
             references: [q_a, v_a, a_a] at ``fractions``, (N, 6) [rad, rad/s, rad/s²].
@@ -145,38 +147,65 @@ class ElasticResponse:
         Raises:
             EquilibriumError: Newton's method doesn't converge.
         """
-        z, n = self._solved(references, duration), self.model.n
-        end = self._begins(z)[:, -1].copy()
-        end[:, 1] /= duration
-        if by is None:
-            values = self._values(z, references, duration)
-            out, end_by = np.empty((*values.shape[:2], values.shape[2] - n, 0)), np.empty((*end.shape, 0))
-            by = np.empty((len(references), 6, 0))
-        else:
-            linear = self._linearised(z, references, duration)
-            values, matrices = linear.values, _Matrices(linear, self.steps)
-            out, end_by = matrices.derivatives(linear, by)
-            self._matrices = matrices.kept(self._shared)
-            end_by[:, 1] /= duration
-            end_by[:, 1, :, -1] -= end[:, 1] / duration
-        torque, position, loads = np.split(values[..., n:], (2, 4), axis=2)
+        by = np.empty((len(references), 6, 0)) if by is None else by
+        found = [part.respond(references, duration, by) for part in self._parts]
+        outputs, end, outputs_by, end_by = (joined(each) for each in zip(*found, strict=True))
+        torque, position, loads = np.split(outputs, (2, 4), axis=2)
+        torque_by, position_by, loads_by = np.split(outputs_by, (2, 4), axis=2)
         of_time = references.reshape(-1, 3, 2).swapaxes(0, 1)
-        return Response(
-            position, torque, end, out[:, :, 2:4], out[:, :, :2], end_by, loads, out[:, :, 4:], of_time, by, duration
-        )
+        return Response(position, torque, end, position_by, torque_by, end_by, loads, loads_by, of_time, by, duration)
 
     def transfer(self, duration: float) -> RealArray:
         """Elastic coordinates and rates at the end of the last motion by those at its start, (P, 2, n, 2, n)."""
-        assert self._matrices is not None
-        found = self._matrices.transfer.reshape(-1, 2, self.model.n, 2, self.model.n)
+        found = joined([part.matrices.transfer for part in self._parts if part.matrices])
         found[:, 1] /= duration
         found[..., 1, :] *= duration
         return found
 
+
+def joined(arrays: Sequence[RealArray]) -> RealArray:
+    """Arrays one after the other along their first axis, the others filled up with zeros."""
+    if len(arrays) == 1:
+        return arrays[0]
+    shape = sum(map(len, arrays)), *np.max([each.shape[1:] for each in arrays], axis=0)
+    whole = np.zeros(shape, arrays[0].dtype)
+    first = 0
+    for each in arrays:
+        whole[(slice(first, first + len(each)), *map(slice, each.shape[1:]))] = each
+        first += len(each)
+    return whole
+
+
+class _Integration:
+    """The elastic motion of variants that are solved together; arguments as of `ElasticResponse`."""
+
+    def __init__(self, model: VariantModel, start: RealArray, steps: int, accuracy: float, shared: int) -> None:
+        self._model, self._steps, self._accuracy, self._shared = model, steps, accuracy, shared
+        self._start = model.rest(start).elastic[:, np.newaxis]
+        # stage values z and the matrices from which the next solution starts
+        self._guess = np.zeros((len(self._start), 3 * steps, model.n))
+        self.matrices: _Matrices | None = None
+
+    def respond(self, references: RealArray, duration: float, by: RealArray) -> tuple[RealArray, ...]:
+        """The outputs (P, N, k) and the end state (P, 2, n), and their derivatives by design variables."""
+        z, n = self._solved(references, duration), self._model.n
+        *_, end = self._integrated(z, self._start)
+        end[:, 1] /= duration
+        if not by.shape[2]:
+            outputs = self._values(z, references, duration)[..., n:]
+            return outputs, end, np.empty((*outputs.shape, 0)), np.empty((*end.shape, 0))
+        values, by_z, by_state, by_references = self._linearised(z, references, duration)
+        matrices = _Matrices(self._steps, by_z, by_state)
+        outputs_by, end_by = matrices.derivatives(by_z, by_state, by_references, by)
+        self.matrices = matrices.kept(self._shared)
+        end_by[:, 1] /= duration
+        end_by[:, 1, :, -1] -= end[:, 1] / duration
+        return values[..., n:], end, outputs_by, end_by
+
     def _solved(self, references: RealArray, duration: float) -> RealArray:
         """Stage values z (P, N, n) that satisfy the equations of motion, by Newton's method with kept matrices."""
-        z, before, n = self._guess, math.inf, self.model.n
-        matrices = self._matrices or self._renewed(z, references, duration)
+        z, before, n = self._guess, math.inf, self._model.n
+        matrices = self.matrices or self._renewed(z, references, duration)
         for _ in range(ITERATIONS):
             change = matrices.solved(self._values(z, references, duration)[..., :n])
             size = float(np.abs(self._integrated(change, 0.0)[0]).max(initial=0.0))
@@ -191,43 +220,47 @@ class ElasticResponse:
                 matrices = self._renewed(z, references, duration)
             before = size
         # the next motion starts anew
-        self._guess, self._matrices = np.zeros_like(z), None
+        self._guess, self.matrices = np.zeros_like(z), None
         raise EquilibriumError(
             f"the elastic motion in {duration:.6g} s has no solution: the links are too soft for its loads"
         )
 
-    def _begins(self, z: RealArray, start: RealArray | float | None = None) -> RealArray:
-        """q and q' at the start of each step and at the end of the last one (P, steps + 1, 2, n) from z, at rest at the start."""
-        h, of_step = 1.0 / self.steps, z.reshape(len(z), self.steps, 3, -1)
-        found = np.zeros((len(z), self.steps + 1, 2, z.shape[2]))
-        place, rate = found[:, :, 0], found[:, :, 1]
+    def _integrated(self, z: RealArray, start: RealArray | float) -> tuple[RealArray, RealArray, RealArray]:
+        """q and q' at all stages (P, N, n), and both at the end (P, 2, n), from z, at rest at the start."""
+        h, of_step = 1.0 / self._steps, z.reshape(len(z), self._steps, 3, -1)
+        # at the start of each step and at the end of the last one
+        place, rate = np.zeros((2, len(z), self._steps + 1, z.shape[2]))
         np.cumsum(h * (METHOD.whole @ of_step), axis=1, out=rate[:, 1:])
         np.cumsum(h * h * (METHOD.whole_twice @ of_step) + h * rate[:, :-1], axis=1, out=place[:, 1:])
-        place += self._start[:, np.newaxis] if start is None else start
-        return found
-
-    def _integrated(self, z: RealArray, start: RealArray | float | None = None) -> tuple[RealArray, RealArray]:
-        """q and q' at all stages (P, N, n) from z, at rest at the start."""
-        h, of_step, begins = 1.0 / self.steps, z.reshape(len(z), self.steps, 3, -1), self._begins(z, start)
-        places, rates = begins[:, :-1, 0, np.newaxis], begins[:, :-1, 1, np.newaxis]
+        place += start
+        places, rates = place[:, :-1, np.newaxis], rate[:, :-1, np.newaxis]
         q = places + (h * METHOD.nodes)[:, np.newaxis] * rates + h * h * (METHOD.twice @ of_step)
-        return q.reshape(z.shape), (rates + h * (METHOD.matrix @ of_step)).reshape(z.shape)
+        v = rates + h * (METHOD.matrix @ of_step)
+        return q.reshape(z.shape), v.reshape(z.shape), np.stack([place[:, -1], rate[:, -1]], axis=1)
 
     def _values(self, z: RealArray, references: RealArray, duration: float) -> RealArray:
-        q, rate = self._integrated(z)
-        return self.model.values(q, rate / duration, z / duration**2, references)
+        q, rate, _ = self._integrated(z, self._start)
+        return self._model.values(q, rate / duration, z / duration**2, references)
 
     def _renewed(self, z: RealArray, references: RealArray, duration: float) -> _Matrices:
-        self._matrices = None
-        self._matrices = _Matrices(self._linearised(z, references, duration, self._shared), self.steps).kept()
-        return self._matrices
+        self.matrices = None
+        _, by_z, by_state, _ = self._linearised(z, references, duration, self._shared)
+        self.matrices = _Matrices(self._steps, by_z, by_state).kept()
+        return self.matrices
 
-    def _linearised(self, z: RealArray, references: RealArray, duration: float, shared: int = 1) -> _Linearised:
-        """The equations of the step in the middle of each ``shared`` ones."""
-        (q, rate), h, n = self._integrated(z), 1.0 / self.steps, self.model.n
-        some = np.arange(3 * self.steps).reshape(-1, shared, 3)[:, shared // 2].ravel()
+    def _linearised(
+        self, z: RealArray, references: RealArray, duration: float, shared: int = 1
+    ) -> tuple[RealArray, RealArray, RealArray, RealArray]:
+        """[forces, k outputs] at three stages of the step in the middle of each ``shared`` ones, of S steps.
+
+        Returns:
+            Their values (P, 3 S, n + k), and their derivatives (P, S, 3, n + k, ...): by z of all stages of the step (3 n), by the state
+            [q, q'] at its start (2 n), and at constant z by [q_a, v_a, a_a, T] (7).
+        """
+        (q, rate, _), h, n = self._integrated(z, self._start), 1.0 / self._steps, self._model.n
+        some = np.arange(3 * self._steps).reshape(-1, shared, 3)[:, shared // 2].ravel()
         q, rate, z = q[:, some], rate[:, some], z[:, some]
-        values, jacobian = self.model.linearised(q, rate / duration, z / duration**2, references[some])
+        values, jacobian = self._model.linearised(q, rate / duration, z / duration**2, references[some])
         by = jacobian.reshape(len(z), -1, 3, *jacobian.shape[2:])
         by_q, by_v, by_a = (by[..., i * n : (i + 1) * n] / duration**i for i in range(3))
         # of stage i by z of stage j
@@ -237,42 +270,26 @@ class ElasticResponse:
             by_z[:, :, i, :, i] += by_a[:, :, i]
         by_state = np.concatenate([by_q, by_v + h * METHOD.nodes[:, np.newaxis, np.newaxis] * by_q], axis=-1)
         rate, z = (each.reshape(*by_q.shape[:3], n, 1) for each in (rate, z))
-        by_duration = (by_v @ rate + 2.0 * (by_a @ z))[..., 0] / -duration
-        return _Linearised(values, by_z.reshape(*by_z.shape[:4], 3 * n), by_state, by[..., 3 * n :], by_duration)
-
-
-@dataclass(frozen=True, eq=False)
-class _Linearised:
-    """[forces, k outputs] of P variants at three stages of each of S steps, linearised.
-
-    Attributes:
-        values: their values (P, 3 S, n + k).
-        by_z, by_state: derivatives by z of all stages of the step (P, S, 3, n + k, 3 n), and by the state [q, q'] at its start (..., 2 n).
-        by_references, by_duration: derivatives at constant z by [q_a, v_a, a_a] (..., 6) and by T, (P, S, 3, n + k).
-    """
-
-    values: RealArray
-    by_z: RealArray
-    by_state: RealArray
-    by_references: RealArray
-    by_duration: RealArray
+        by_duration = (by_v @ rate + 2.0 * (by_a @ z)) / -duration
+        by_references = np.concatenate([by[..., 3 * n :], by_duration], axis=-1)
+        return values, by_z.reshape(*by_z.shape[:4], 3 * n), by_state, by_references
 
 
 class _Matrices:
     """The linear equations of all steps: z = inverse loads - by_state s in each, with the state s = [q, q'] at its start.
 
     Args:
-        linear: the equations.
         steps: number of steps; if they are more than those of the equations, as many follow each other with the same ones.
+        by_z, by_state: derivatives of forces and outputs, see `_Integration`.
     """
 
-    def __init__(self, linear: _Linearised, steps: int) -> None:
-        count, some, *_ = linear.by_z.shape
-        n = linear.by_z.shape[-1] // 3
+    def __init__(self, steps: int, by_z: RealArray, by_state: RealArray) -> None:
+        count, some, *_ = by_z.shape
+        n = by_z.shape[-1] // 3
         self._steps, h = steps, 1.0 / steps
-        of_forces = linear.by_z[:, :, :, :n].reshape(count, some, 3 * n, 3 * n)
+        of_forces = by_z[:, :, :, :n].reshape(count, some, 3 * n, 3 * n)
         self._inverse: NDArray[Any] = np.linalg.inv(of_forces)
-        self._by_state: NDArray[Any] = self._inverse @ linear.by_state[:, :, :, :n].reshape(count, some, 3 * n, 2 * n)
+        self._by_state: NDArray[Any] = self._inverse @ by_state[:, :, :, :n].reshape(count, some, 3 * n, 2 * n)
         self._weights = np.stack([h * h * METHOD.whole_twice, h * METHOD.whole])
         self._transition = np.kron(np.array([[1.0, h], [0.0, 1.0]]), np.eye(n)) - self._added(self._by_state)
 
@@ -295,26 +312,28 @@ class _Matrices:
         found -= self._by_state @ states.astype(self._by_state.dtype)
         return found.swapaxes(2, 3).reshape(loads.shape)
 
-    def derivatives(self, linear: _Linearised, by: RealArray) -> tuple[RealArray, RealArray]:
+    def derivatives(
+        self, by_z: RealArray, by_state: RealArray, by_references: RealArray, by: RealArray
+    ) -> tuple[RealArray, RealArray]:
         """Derivatives of the outputs (P, N, k, m) and of the end state [q, q'] (P, 2, n, m).
 
         Args:
-            linear: the equations of all steps.
+            by_z, by_state, by_references: derivatives of forces and outputs in all steps, see `_Integration`.
             by: derivatives of the references by design variables, see `ElasticResponse.respond`.
         """
-        (count, steps, _, rows, _), m, n = linear.by_references.shape, by.shape[-1], self._inverse.shape[-1] // 3
+        (count, steps, _, rows, _), m, n = by_references.shape, by.shape[-1], self._inverse.shape[-1] // 3
         # z eliminated
         k, of_forces = rows - n, self._added(self._inverse)
-        by_z = linear.by_z[:, :, :, n:].reshape(count, steps, 3 * k, 3 * n)
-        by_state = linear.by_state[:, :, :, n:].reshape(count, steps, 3 * k, 2 * n) - by_z @ self._by_state
+        by_z = by_z[:, :, :, n:].reshape(count, steps, 3 * k, 3 * n)
+        by_state = by_state[:, :, :, n:].reshape(count, steps, 3 * k, 2 * n) - by_z @ self._by_state
         by_z = by_z @ self._inverse
         out = np.empty((count, steps, 3 * k, m), dtype=np.float32)
         end = np.empty((count, 2, n, m))
         for first in range(0, m, COLUMNS):
             some = slice(first, first + COLUMNS)
-            explicit = linear.by_references @ by[..., some].reshape(1, steps, 3, 6, -1)
+            explicit = by_references[..., :6] @ by[..., some].reshape(1, steps, 3, 6, -1)
             if some.stop >= m:
-                explicit[..., -1] += linear.by_duration
+                explicit[..., -1] += by_references[..., 6]
             # sizes are written out: rigid robots have n = 0
             width = explicit.shape[-1]
             loads = -explicit[..., :n, :].reshape(count, steps, 3 * n, width)
@@ -328,9 +347,11 @@ class _Matrices:
 
     @property
     def transfer(self) -> RealArray:
-        """The last state by the first, (P, 2 n, 2 n)."""
-        found = np.linalg.matrix_power(self._transition, self._steps // self._transition.shape[1])
-        return reduce(lambda before, k: found[:, k] @ before, range(1, found.shape[1]), found[:, 0])
+        """The last state by the first, (P, 2, n, 2, n)."""
+        _, some, size, _ = self._transition.shape
+        found = np.linalg.matrix_power(self._transition, self._steps // some)
+        whole = reduce(lambda before, k: found[:, k] @ before, range(1, some), found[:, 0])
+        return whole.reshape(len(whole), 2, size // 2, 2, size // 2)
 
     def _added(self, z: RealArray) -> RealArray:
         """What z (P, S, 3 n, r) of steps add to the next states (P, S, 2 n, r)."""
@@ -346,56 +367,6 @@ class _Matrices:
         for k in range(steps):
             states[:, k + 1] = self._transition[:, k * self._transition.shape[1] // steps] @ states[:, k] + loads[:, k]
         return states
-
-
-class FleetResponse:
-    """The elastic response of several robots, each with its own elastic coordinates, to the same references.
-
-    Args:
-        robots: the robots; those of one scene follow each other.
-        start, steps, loads: see `ElasticResponse`.
-
-    Raises:
-        SceneError, EquilibriumError: see `ElasticResponse`.
-    """
-
-    def __init__(
-        self, robots: Sequence[RobotVariant], start: RealArray, steps: int, loads: tuple[str, ...] = ()
-    ) -> None:
-        scenes = [[*group] for _, group in groupby(robots, key=lambda each: id(each.scene))]
-        groups = [group[k : k + TOGETHER] for group in scenes for k in range(0, len(group), TOGETHER)]
-        shared = math.gcd(steps, SHARED)
-        self.parts = [ElasticResponse(group, start, steps, NEARLY, shared, loads) for group in groups]
-        self.fractions = self.parts[0].fractions
-
-    def of_motion(self, motion: DesignedMotion, *, derivatives: bool = True) -> Response:
-        """The response as of `ElasticResponse`; the end states of robots with fewer coordinates end with zeros."""
-        by = motion.derivatives(self.fractions) if derivatives else None
-        return self.respond(np.hstack(list(motion.evaluate(self.fractions))), motion.duration, by)
-
-    def respond(self, references: RealArray, duration: float, by: RealArray | None = None) -> Response:
-        """The response to joint references (N, 6) at ``fractions``, as of `ElasticResponse`; the last variable is the duration."""
-        found = [part.respond(references, duration, by) for part in self.parts]
-        names = ("position", "torque", "end", "position_by", "torque_by", "end_by", "loads", "loads_by")
-        whole: dict[str, Any] = {name: joined([getattr(each, name) for each in found]) for name in names}
-        return replace(found[0], **whole)
-
-    def transfer(self, duration: float) -> RealArray:
-        """See `ElasticResponse.transfer`."""
-        return joined([part.transfer(duration) for part in self.parts])
-
-
-def joined(arrays: Sequence[RealArray]) -> RealArray:
-    """Arrays one after the other along their first axis, the others filled up with zeros."""
-    if len(arrays) == 1:
-        return arrays[0]
-    shape = sum(map(len, arrays)), *np.max([each.shape[1:] for each in arrays], axis=0)
-    whole = np.zeros(shape, arrays[0].dtype)
-    first = 0
-    for each in arrays:
-        whole[(slice(first, first + len(each)), *map(slice, each.shape[1:]))] = each
-        first += len(each)
-    return whole
 
 
 PLACES = 5

@@ -5,7 +5,7 @@ The first stage has few variants and a loose bound on the residual vibration; th
 all variants are evaluated on a finer grid: its end state corrects that of the coarse one, the worst variants join the others, and
 what still lies between them tightens the limits.
 
-The elastic motion is eliminated: `FleetResponse` gives torques, end effector and end state of all variants with exact
+The elastic motion is eliminated: `ElasticResponse` gives torques, end effector and end state of all variants with exact
 derivatives. A quadratic programme linearises the limits and finds the step that reduces the duration, or the motors' effort in a given
 duration, most, less a penalty on changes of the accelerations that is adapted like a trust region. At the fastest motion about as many
 limits are active as there are variables, so that the programmes converge without second derivatives; the effort is a sum of convex
@@ -39,8 +39,10 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm
 
 from flexfmu.model.reference_design.elastic_response import (
+    COMPARED,
     LINK_LOADS,
-    FleetResponse,
+    SHARED,
+    ElasticResponse,
     Rest,
     RobotVariant,
     VariantModel,
@@ -446,10 +448,9 @@ class _WayProgramme:
         start, self.limits, self.cases = way.start, way.limits, way.cases
         before, after = start.evaluate([0.0, 1.0], 0)[0]
         self._links = tuple(name for name in LINK_LOADS if name in way.limits.loads)
-        self.elastic = FleetResponse(way.robots, before, parts * start.intervals, self._links)
-        models = [part.model for part in self.elastic.parts]
-        self.starts = [model.rest(before) for model in models]
-        self.vibration = ResidualVibration(models, after, way.limits.settled_within)
+        self.elastic = ElasticResponse(way.robots, before, parts * start.intervals, self._links, COMPARED, SHARED)
+        self.starts = [model.rest(before) for model in self.elastic.models]
+        self.vibration = ResidualVibration(self.elastic.models, after, way.limits.settled_within)
         self._largest = [np.broadcast_to(getattr(way.limits, name), 2) for name in RATES]
         # of each load at all instants; link loads have one limit each for all their places
         self._units = {name: each.reshape(len(each), 1, -1) for name, each in way.limits.loads.items()}

@@ -429,8 +429,8 @@ def _left_vibration(goals: Goals, ways: Sequence[Assessment], cases: Sequence[ND
         first, last = motion.evaluate([0.0, motion.duration], 0, "right")[0]
         response = ElasticResponse(robots, first, STEPS)
         references = np.hstack(list(motion.evaluate(response.fractions * motion.duration, 2, "left")))
-        starts.append([response.model.rest(first)])
-        ends.append(ResidualVibration([response.model], last))
+        starts.append([model.rest(first) for model in response.models])
+        ends.append(ResidualVibration(response.models, last))
         states.append(ends[-1].away(response.respond(references, motion.duration).end))
         transfers.append(response.transfer(motion.duration))
     left = LeftVibration(starts, [end.rests for end in ends], [each.pause for each in goals.ways], cases)

@@ -25,7 +25,14 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.experiment.planning import plan_rigid
 from flexfmu.model.reference_design import optimal_control
-from flexfmu.model.reference_design.elastic_response import LINK_LOADS, SHARED, FleetResponse, RobotVariant, joined
+from flexfmu.model.reference_design.elastic_response import (
+    COMPARED,
+    LINK_LOADS,
+    SHARED,
+    ElasticResponse,
+    RobotVariant,
+    joined,
+)
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
 from flexfmu.model.reference_design.joint_spline import REST, DesignedMotion, JointSpline, fitted
 from flexfmu.model.reference_design.loads import OF_CYCLE, ROOTS, Loads, weight_of_squares
@@ -455,10 +462,10 @@ def _given_loads(goals: Goals, robots: Sequence[RobotVariant], names: Sequence[s
     link_loads = tuple(name for name in LINK_LOADS if name in names)
     # torques of the pause are those of a robot that still swings, as in the FMU
     swinging = SHARED * int(GIVEN_STEPS / SHARED * min(goals.pause / joints.duration, SWINGING))
-    elastic = FleetResponse(robots, first, GIVEN_STEPS + swinging, link_loads)
+    elastic = ElasticResponse(robots, first, GIVEN_STEPS + swinging, link_loads, COMPARED, SHARED)
     duration = joints.duration * (1.0 + swinging / GIVEN_STEPS)
     references = np.hstack(list(joints.evaluate(elastic.fractions * duration, 2, "left")))
-    holding = joined([part.model.rest(last).torque for part in elastic.parts])
+    holding = joined([model.rest(last).torque for model in elastic.models])
     still = goals.pause + joints.duration - duration
     return Loads(elastic.respond(references, duration), holding, still, goals.drives, link_loads)
 
@@ -489,8 +496,9 @@ def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: Sh
     robots = robots_of(goals.scene, variations)
     problem = limited(goals, found[0], [robots])
     # near the path, and where a robot isn't, hardly further away
-    response = FleetResponse(robots, motors.coefficients[0], motors.intervals).of_motion(motors, derivatives=False)
-    width = max(NEAR_PATH * goals.wishes.margin, -GROWTH * float(_within(goals, 0.0, response.position)[0].min()))
+    response = ElasticResponse(robots, motors.coefficients[0], motors.intervals, (), COMPARED, SHARED)
+    places = response.of_motion(motors, derivatives=False).position
+    width = max(NEAR_PATH * goals.wishes.margin, -GROWTH * float(_within(goals, 0.0, places)[0].min()))
     way, quiet = problem.ways[0], QUIET * goals.wishes.residual
     limits = replace(way.limits, distances=partial(_within, goals, width), clearance=0.0, residual=quiet)
     nodes = nodes_of(variations, optimal_control.NODES)

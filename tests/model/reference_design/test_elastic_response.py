@@ -153,7 +153,7 @@ def test_variants_at_rest_have_the_equilibria_and_the_frequencies_of_their_scene
     scene: Scene, motion: JointSpline
 ) -> None:
     joints = motion.coefficients[-1]
-    rest = response_of(scene, motion).model.rest(joints)
+    rest = response_of(scene, motion).models[0].rest(joints)
     frequencies, _ = rest.modes
     heavy = scene.replace({"payload.mass": 7.8, "mechanism.material.youngs_modulus": 63e9})
     for variant, of_scene in enumerate((scene.replace({"payload.mass": 4.2}), heavy)):

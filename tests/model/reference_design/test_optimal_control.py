@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 
 import flexfmu
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.model.reference_design import elastic_response
+from flexfmu.model.reference_design import optimal_control
 from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant, VariantModel
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.loads import Drives, Loads
@@ -115,7 +115,7 @@ def test_derivatives_of_a_cycle_are_those_of_finite_differences(
 ) -> None:
     """Limits at instants of both ways, loads of the whole cycle, and the vibration that goes on from way to way."""
     # differences are smaller than the errors of motions that are only compared
-    monkeypatch.setattr(elastic_response, "NEARLY", 1e-13)
+    monkeypatch.setattr(optimal_control, "COMPARED", 1e-13)
     empty, back = scene.replace({"payload.mass": 0.0}), replace(given, coefficients=given.coefficients[::-1])
     robots = [[RobotVariant(scene, each) for each in variants[::2]], [RobotVariant(empty)]]
     motions, loads = (
@@ -166,7 +166,7 @@ def test_residual_and_loads_of_the_motors_are_those_of_the_fmu(scene: Scene, giv
     elastic = ElasticResponse([RobotVariant(scene)], motion.coefficients[0], 128)
     response, vibration = (
         elastic.of_motion(motion, derivatives=False),
-        ResidualVibration([elastic.model], motion.coefficients[-1]),
+        ResidualVibration(elastic.models, motion.coefficients[-1]),
     )
     bound = bounds(vibration.matrices, vibration.away(response.end))
     metrics = flexfmu.run(scene, trajectory=motion.trajectory(), tolerance=1e-8).metrics
@@ -189,7 +189,7 @@ def test_loads_of_shafts_joints_and_links_are_those_of_the_fmu(scene: Scene, giv
     motion, names = given.with_duration(0.3), ("reaction", "stress")
     # torques jump where gears change the direction of their losses
     elastic = ElasticResponse([RobotVariant(scene)], motion.coefficients[0], 512, loads=names)
-    response, rest = elastic.of_motion(motion, derivatives=False), elastic.model.rest(motion.coefficients[-1])
+    response, rest = elastic.of_motion(motion, derivatives=False), elastic.models[0].rest(motion.coefficients[-1])
     motors = (MOTOR, replace(MOTOR, gear_ratio=20.0))
     drives = Drives(motors, scene.effects.motor_inertia)
     loads = Loads(response, rest.torque, scene.trajectory.dwell, drives, names)
@@ -250,12 +250,24 @@ def test_limited_references_give_the_fastest_motion_from_rest_to_rest(
     assert 0.999 * fastest <= last.motions[0].duration < 1.12 * fastest
 
 
+def test_a_rigid_robot_has_a_fastest_cycle(rigid: Scene, given: JointSpline) -> None:
+    """Nothing vibrates on from way to way; both ways are as fast as one alone."""
+    limits = MotionLimits({"torque": np.full((1, 2), WIDE)}, WIDE, 100.0, WIDE, 1e-6, free)
+    back = replace(given, coefficients=given.coefficients[::-1])
+    alone, both = (
+        [*optimal_motion([Way([RobotVariant(rigid)], limits, motion) for motion in motions])][-1]
+        for motions in ([given], [given, back])
+    )
+    assert both.checked
+    assert [each.duration for each in both.motions] == pytest.approx([alone.motions[0].duration] * 2, rel=1e-3)
+
+
 def test_a_limit_that_time_hardly_moves_is_kept_from_the_first_motions_on(rigid: Scene, given: JointSpline) -> None:
     """RMS torques that gravity makes for the most part: a programme that would rather miss them than be slow gets a higher price at once."""
     slow, pause = given.with_duration(1.0), 0.25
     elastic = ElasticResponse([RobotVariant(rigid)], slow.coefficients[0], 60)
     response = elastic.of_motion(slow, derivatives=False)
-    squares = Loads(response, elastic.model.rest(slow.coefficients[-1]).torque, pause).of_cycle("rms_torque")
+    squares = Loads(response, elastic.models[0].rest(slow.coefficients[-1]).torque, pause).of_cycle("rms_torque")
     limits = MotionLimits({"torque": np.full((1, 2), WIDE)}, WIDE, WIDE, WIDE, 1e-6, above, pause=pause)
     way = Way([RobotVariant(rigid)], limits, slow.with_duration(0.65))
     found = list(optimal_motion([way], {"rms_torque": np.sqrt(squares / (1.0 + pause))}))
