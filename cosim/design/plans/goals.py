@@ -9,7 +9,9 @@ from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import label
+from scipy.ndimage import uniform_filter1d
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
 
 from flexfmu.cosim.control.blocks.code import CompiledAtPoints
 from flexfmu.cosim.design.effects.choice import resolved
@@ -22,12 +24,14 @@ from flexfmu.cosim.experiment.planning import MotionPlan, plan, plan_own
 from flexfmu.cosim.metrics.metric_table import PLAN_FIGURES
 from flexfmu.model.reference_design.elastic_response import RobotVariant, VariantModel
 from flexfmu.model.reference_design.loads import Drives
+from flexfmu.model.scene.assembly import bases
 from flexfmu.model.scene.messages import unit_of
 from flexfmu.model.scene.motion import TrajectorySection
 from flexfmu.model.scene.plan import PlanLimits, PlanSection, Ratio, TargetSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.piecewise import spline
 from flexfmu.trajectories.trajectory import Trajectory
 
 LEAST_DWELL = 0.25
@@ -62,6 +66,9 @@ SAME_PLACE = 1e-6
 
 GRID = 160
 """Points along each side of the grid on which a way around the regions is looked for."""
+
+FAR, SMOOTHED = 1e3, 61
+"""How much longer that grid's ways near regions are, and points over which one is averaged."""
 
 INSTANTS = 4001
 """Instants at which references are examined."""
@@ -169,6 +176,54 @@ class Goals:
     def given(self) -> MotionPlan:
         """The given motion."""
         return plan(self.scene) if self.own is None else plan_own(self.scene, self.own)
+
+    @cached_property
+    def way_around(self) -> RealArray:
+        """The shortest way from start to end within the workspace and around the regions on a grid, (N, 2) [m].
+
+        Raises:
+            InputError: there is none.
+        """
+        mechanism, kinematics, ends = self.scene.mechanism, self.given.kinematics, self.trace[[0, -1]]
+        reach = mechanism.base_half_distance + mechanism.proximal.length + mechanism.distal.length
+        side = np.linspace(-reach, reach, GRID)
+        points, cell = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2), side[1] - side[0]
+        reachable = np.all([each.values > each.required for each in kinematics.margins(points)], axis=0)
+        # half a cell: a narrow way isn't taken for blocked
+        distance = self.clearance.distance(points)
+        free = reachable & (distance > -self.wishes.margin - 0.5 * cell)
+        points, tree = points[free], cKDTree(points[free])
+        pairs = tree.sparse_distance_matrix(tree, 1.5 * cell, output_type="coo_matrix")
+        # ways through thin regions are long
+        is_near = distance[free] < cell
+        pairs.data *= np.where(is_near[pairs.row] | is_near[pairs.col], FAR, 1.0)
+        start, end = np.asarray(tree.query(ends)[1]).tolist()
+        length, before = dijkstra(pairs.tocsr(), indices=start, return_predecessors=True)
+        if not np.isfinite(length[end]):
+            raise InputError(
+                f"`plan.keep_out` leaves no way within the workspace from the start to the end, "
+                f"({ends[1, 0]:g}, {ends[1, 1]:g}) m: open a gap, or make a region smaller"
+            )
+        places = [end]
+        while places[-1] != start:
+            places.append(before[places[-1]])
+        return np.concatenate([ends[:1], points[places[-2:0:-1]], ends[1:]])
+
+    @cached_property
+    def first_motion(self) -> Trajectory:
+        """The given motion's joints; where it enters a region, those of a smooth motion around, as long."""
+        joints, steps = self.given.once.joints, np.linspace(0.0, 1.0, TRACE)
+        if not self.wishes.keep_out or self.clearance.along(self.trace).min() >= -self.wishes.margin:
+            return joints
+        length = lengths(self.way_around)
+        law = steps**3 * (10.0 - 15.0 * steps + 6.0 * steps**2)
+        points = uniform_filter1d(interpolated(self.way_around, length[-1] * law, length), SMOOTHED, 0, mode="nearest")
+        points[[0, -1]] = self.trace[[0, -1]]
+        arms = np.array(self.given.kinematics.elbows(points)) - np.array(bases(self.scene.mechanism))[:, np.newaxis]
+        angles = np.unwrap(np.arctan2(arms[..., 1], arms[..., 0]))
+        # of the same turn as the given motion's
+        angles += 2.0 * np.pi * np.round((self.ends[0] - angles[:, 0]) / (2.0 * np.pi))[:, np.newaxis]
+        return spline(joints.duration * steps, angles.T[np.newaxis], coordinates="joints")
 
     @cached_property
     def ends(self) -> RealArray:
@@ -360,22 +415,8 @@ def _check_way(goals: Goals) -> None:
                 f"`plan.keep_out` contains the {name} of the motion, ({x:g}, {y:g}) m, or with `links` one of them there, "
                 f"{1e3 * -distance:.3g} mm within its outline: make the region smaller"
             )
-    if not goals.wishes.keep_out:
-        return
-    mechanism = goals.scene.mechanism
-    reach = mechanism.base_half_distance + mechanism.proximal.length + mechanism.distal.length
-    side = np.linspace(-reach, reach, GRID)
-    points = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
-    reachable = np.all([each.values > each.required for each in goals.given.kinematics.margins(points)], axis=0)
-    # half a cell: a narrow way isn't taken for blocked
-    free = reachable & (goals.clearance.distance(points) > -goals.wishes.margin - 0.5 * (side[1] - side[0]))
-    start, end = (np.argmin(np.hypot(*(points - point).T) + np.where(free, 0.0, 1e3)) for point in ends)
-    parts = label(free.reshape(GRID, GRID), np.ones((3, 3)))[0].ravel()
-    if not parts[start] == parts[end] > 0:
-        raise InputError(
-            f"`plan.keep_out` leaves no way within the workspace from the start to the end, ({x:g}, {y:g}) m: open a gap, or "
-            f"make a region smaller"
-        )
+    if goals.wishes.keep_out:
+        _ = goals.way_around
 
 
 def check_holding_torque(goals: Goals, robots: Sequence[Variation] = (), given: RealArray | None = None) -> None:

@@ -75,9 +75,6 @@ start, if it exceeds one by more: a slower one has room to reach the limits."""
 ACTIVE, FULL, FULL_RESIDUAL = 0.98, 0.999, 0.9
 """Share of a limit from which on it is active, and shares of limits and of the residual vibration that motions may use."""
 
-INTERRUPTED = "optimal control, interrupted"
-"""Label of the motion that optimal control had when it was interrupted."""
-
 LOADS = optimal_control.GROUPS[optimal_control.RESIDUAL + 1 :]
 """Limits of motors, joints and links besides the torque, which the programmes have."""
 
@@ -113,7 +110,7 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
     if np.hypot(*(goals.trace[-1] - goals.trace[0])) < RETURN:
         raise InputError("optimal control plans a motion from one place to another, and this one ends where it starts")
     motions, nodes, few = _ways(goals)
-    given = [each.given.once.joints for each in goals.ways]
+    given = [each.first_motion for each in goals.ways]
 
     def made(splines: Sequence[JointSpline]) -> Candidate:
         time = sum(each.duration for each in splines) + goals.rest
@@ -133,10 +130,13 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
         # near the best motions, if places and payloads have moved little
         if goals.before and (yield from refined("before", list(map(_moved, goals.before, map(_spline, given))))):
             return
-        # first motions with the first bound of the residual vibration, and what is found on the way to them
-        problem = limited(goals, found[0], few)
+        # first motions with the first bound of the residual vibration, and what is found on the way to them, once
+        problem, is_first = (
+            limited(goals, found[0], few),
+            all(each.candidate.method != "optimal control" for each in found),
+        )
         vibrating = {"residual": min(1.0, problem.ways[0].limits.residual / optimal_control.LOOSE)}
-        for share in _shares(goals, found[0]):
+        for share in _shares(goals, found[0]) if is_first else ():
             begun = problem.tightened(vibrating).begun([_spline(each, WIDE) for each in given], share)
             tried = improver.best(("optimal", share, "few"), begun)
             if tried is None:
@@ -233,8 +233,10 @@ class Improver(Generic[Motion]):
                 return None
             except KeyboardInterrupt:
                 # the best motion so far is judged all the same
-                candidates = [] if last is None else [replace(self.made(last.motions), label=INTERRUPTED)]
-                raise KeyboardInterrupt(*candidates) from None
+                candidates = [] if last is None else [self.made(last.motions)]
+                raise KeyboardInterrupt(
+                    *(replace(each, label=f"{each.label}, interrupted") for each in candidates)
+                ) from None
             return [each.variables.tolist() for each in last.motions], max(last.violations.values())
 
         kept = self.judge.journal.kept(key, Optimum, found)
@@ -417,9 +419,9 @@ def nodes_of(variations: Sequence[Variation], count: int) -> list[int]:
     return [*optimal_control.spread(payloads, min(count, payloads)), *range(payloads, len(variations))]
 
 
-def limited(goals: Goals, given: Assessment, of_ways: Sequence[Robots], *, walls: bool = False) -> MotionProblem:
-    """The problem from the given motions on with the goals' limits in numbers, for each robot relative to what the given motion or cycle needs in
-    the same model; with walls, what a way passes through counts by the way around it."""
+def limited(goals: Goals, given: Assessment, of_ways: Sequence[Robots]) -> MotionProblem:
+    """The problem from the first motions on with the goals' limits in numbers, for each robot relative to what the given motion or cycle needs
+    in the same model."""
     share, clear, quiet = RESERVE
     speed, acceleration, jerk = (goals.limit(name, np.full(2, given.worst(name))) for name in RATES)
     drives = goals.drives
@@ -446,12 +448,11 @@ def limited(goals: Goals, given: Assessment, of_ways: Sequence[Robots], *, walls
                 # a robot of several cases keeps the least limit
                 loads[name] = np.full((len(robots), *limit.shape[1:]), np.inf)
                 np.minimum.at(loads[name], cases, limit)
-        distances = of_way.clearance.of_ways if walls else of_way.clearance.distances
         own = optimal_control.MotionLimits(
-            loads, speed, acceleration, jerk, quiet * goals.wishes.residual, distances, of_way.pause,
+            loads, speed, acceleration, jerk, quiet * goals.wishes.residual, of_way.clearance.of_ways, of_way.pause,
             goals.wishes.settled_within, drives, -clear * goals.wishes.margin,
         )  # fmt: skip
-        ways.append(optimal_control.Way(robots, own, _spline(of_way.given.once.joints), cases))
+        ways.append(optimal_control.Way(robots, own, _spline(of_way.first_motion), cases))
     return MotionProblem(ways, {name: limit for name, limit in limits.items() if name in OF_CYCLE})
 
 

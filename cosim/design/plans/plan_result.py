@@ -278,6 +278,8 @@ class PlanResult(Rows):
     @property
     def verdict(self) -> str:
         """Whether the chosen motion keeps to all limits, in a sentence."""
+        if not self.assessed:
+            return "no motion could be planned; this is the given one"
         if self.missed:
             listed = [f"{use.name} {use.value:.4g} instead of {use.limit:.4g} ({use.where})" for use in self.missed]
             so_far = " so far" if self.interrupted else ""
@@ -298,7 +300,7 @@ class PlanResult(Rows):
 
         Of the limits that it misses there are so many, the worst ones; None for all.
         """
-        missed = [f"{use.name} {use.share:.3g}x" for use in sorted(found.missed, key=lambda use: -use.share)]
+        missed = [f"{use.name} {use.share:.5g}x" for use in sorted(found.missed, key=lambda use: -use.share)]
         more = f" and {len(missed) - most} more" if most is not None and len(missed) > most else ""
         text = f"misses {', '.join(missed[:most])}{more}" if missed else "kept"
         return f"{text}, chosen" if found is self.chosen else text
@@ -414,6 +416,9 @@ def write_plan(result: PlanResult, folder: Path) -> list[Path]:
     out = OutputFolder(folder)
     out.prepare()
     written = write_scene(result, folder / FILE)
+    # those of a front that was asked for, to choose from
+    for number, each in enumerate(result.table if result.goals.wishes.front else (), 1):
+        written += write_scene(replace(result, chosen=each), folder / f"front-{number}.toml")
     texts = {"front.csv": result.to_csv(), "plan.json": to_json(summary(result)), "plan.html": plan_page(result)}
     return written + [out.write(name, text) for name, text in texts.items()]
 

@@ -39,6 +39,7 @@ from flexfmu.model.finite_elements.motion import equilibrium, simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.effects import NoDampingSection
+from flexfmu.model.scene.plan import PlanSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import damped_modes, static_equilibrium
 
@@ -146,7 +147,7 @@ def plan_scene(
     count, is_optimal, named = len(goals.ways), "optimal" in stages[0], ", ".join(stages[0])
     wrong = ""
     if before and len(before) != count:
-        wrong = f"the earlier plan has {len(before)} motions, and this one {count}: warm starts are from as many ways"
+        wrong = f"the earlier plan has {len(before)} ways, and this one {count}: warm starts are from as many"
     elif before and not is_optimal:
         wrong = "optimal control goes on from an earlier plan: choose the method optimal too, or start anew"
     elif goals.cycle and candidates:
@@ -225,6 +226,8 @@ def plan_scene(
 
 def about_plan(scene: Scene, before: Sequence[Scene]) -> dict[str, Any]:
     """What determines the results of a plan, for its journal: the scene, and the earlier plan that it goes on from."""
+    # wishes that are the defaults are none
+    scene = scene.model_copy(update={"plan": scene.plan or PlanSection()})
     return about_scene(scene) | ({"before": [about_scene(each) for each in before]} if before else {})
 
 

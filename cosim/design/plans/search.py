@@ -140,7 +140,7 @@ def search(judge: Judge, found: Sequence[Assessment], processes: int, show: Show
     show("search: modes and limits", 0.0)
     goals, journal, going = judge.goals, judge.journal, families(judge.goals)
     variations, aim = goals.variations(PAYLOADS[0]), goals.wishes.minimise
-    problem = limited(goals, found[0], [robots_of(goals.scene, variations)], walls=True)
+    problem = limited(goals, found[0], [robots_of(goals.scene, variations)])
     (way,), loads = problem.ways, problem.loads
     best, random = list[FamilyMotion](), np.random.default_rng(goals.wishes.seed)
 

@@ -19,6 +19,7 @@ from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.joint import EndEffectorTrajectory
 
 SCENE = load_scene("barnard2012-6kg")
 """From (-0.175, 0.320) by -25 mm to (0.175, 0.320) m."""
@@ -68,6 +69,24 @@ def test_wishes_that_contradict(wishes: dict[str, Any], message: str) -> None:
 def test_regions_with_a_gap_are_no_contradiction() -> None:
     wall = {"kind": "box", "corners": [[-0.01, 0.30], [0.01, 1.0]]}
     checked_goals(SCENE.replace({"plan.keep_out": [wall]}))
+
+
+@settings(max_examples=8)
+@given(st.floats(-0.08, 0.08), st.floats(0.002, 0.03), st.floats(0.3, 0.4), st.booleans())
+def test_first_motions_go_around_walls(x: float, half_width: float, top: float, is_upright: bool) -> None:
+    """From start to end like the given motion, on one side of a drawn wall that it passes through; smoothed by a few millimetres."""
+    low, high = (0.15, top) if is_upright else (0.315, 0.355)
+    wall = {"kind": "box", "corners": [[x - half_width, low], [x + half_width, high]]}
+    goals, free = (checked_goals(SCENE.replace({"plan.keep_out": each})) for each in ([wall], []))
+    joints, given_joints = goals.first_motion, free.first_motion
+    assert joints.duration == given_joints.duration
+    ends = [each.evaluate([0.0, each.duration], 0, "left")[0] for each in (joints, given_joints)]
+    np.testing.assert_allclose(*ends, atol=1e-6)
+    moving = EndEffectorTrajectory(joints, RigidKinematics(SCENE.mechanism))
+    points = moving.evaluate(np.linspace(0.0, joints.duration, 501), 0)[0]
+    if goals.clearance.along(goals.trace).min() < -goals.wishes.margin:
+        assert goals.clearance.along(points).min() > -0.008
+        assert goals.clearance.along(goals.trace).min() < goals.clearance.along(points).min()
 
 
 @settings(max_examples=8)

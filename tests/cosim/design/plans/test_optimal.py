@@ -530,7 +530,7 @@ def test_torques_that_loops_learn_leave_less_vibration(seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_a_front_beats_the_fastest_motion_slowed_down(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_front_beats_the_fastest_motion_slowed_down(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """For each level of power, judged by the FMU, a motion that keeps to it is faster than the fastest one, slowed down until it does."""
     monkeypatch.setattr(method, "INTERVALS", 20)
     monkeypatch.setattr(method, "fuller_scene", lambda scene: None)
@@ -544,6 +544,10 @@ def test_a_front_beats_the_fastest_motion_slowed_down(monkeypatch: pytest.Monkey
     }
     result = plan_scene(CYCLE.replace(wishes), methods=["optimal"], robust=False)
     assert result.axes == ("time", "power")
+    write_plan(result, tmp_path)
+    for number, row in enumerate(result.rows(), 1):
+        planned = load_scene(tmp_path / f"front-{number}.toml")
+        assert flexfmu.reference_motion(planned).duration == pytest.approx(row["time"], rel=1e-6)
     points = [
         each
         for each in result.assessed
@@ -557,6 +561,17 @@ def test_a_front_beats_the_fastest_motion_slowed_down(monkeypatch: pytest.Monkey
         assert each.power < 0.97 * judge.assess(Candidate("slowed", "csv", result.goals.scene, slower)).power
     with pytest.raises(SceneError, match="needs what is minimised"):
         CYCLE.replace({"plan.front": ["power", "jerk"]})
+
+
+@pytest.mark.slow
+def test_a_wall_on_the_path_is_passed_by() -> None:
+    """Over its top, faster than the given motion, which goes through it."""
+    wall = {"kind": "box", "corners": [[-0.015, 0.20], [0.015, 0.33]]}
+    scene = load_scene("barnard2012-6kg").replace({"plan.keep_out": [wall], "plan.payload_band": 0.0})
+    found = plan_scene(scene, methods=["optimal"], robust=False)
+    assert not found.given.feasible
+    assert found.chosen.feasible
+    assert found.chosen.time < found.given.time
 
 
 def test_a_cycle_goes_to_its_targets_and_back() -> None:
