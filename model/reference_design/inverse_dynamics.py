@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
-from scipy.sparse import bsr_array, csc_array
+from scipy.sparse import bsr_array
 from scipy.sparse.linalg import splu
 
 from flexfmu.model.one_thread import one_blas_thread
@@ -110,15 +110,25 @@ def flexible_references(
     knots = np.array([0, *range(2, intervals - 1), intervals]) / intervals
     times, rest = knots * duration - LEAD, rest_matrix(intervals + DEGREE)
     targets = motion.evaluate(times, 0)[0]
-    matrices = [basis(DEGREE, intervals, knots, k) @ rest / duration**k for k in range(3)]
-    # Newton's method over all coefficients, from the rigid robot's motion on
+    matrices = np.array([basis(DEGREE, intervals, knots, k) @ rest / duration**k for k in range(3)])
+    # equations for [elastic forces, end effector], with derivatives by [q_a, q_e], their rates and accelerations
     model = VariantModel([RobotVariant(scene)])
-    free = np.zeros((len(knots), 2 + model.n))
+    n = model.n
+    rows = np.array([*range(n), n + 2, n + 3])
+    columns = np.hstack([np.arange(3 * n, 3 * n + 6).reshape(3, 2), np.arange(3 * n).reshape(3, n)])
+    # of Newton's matrix: blocks of all values at a knot by all coefficients of one basis function
+    row, column = np.nonzero(matrices[0])
+    starts = np.searchsorted(row, np.arange(len(knots) + 1))
+    # Newton's method over all coefficients, from the rigid robot's motion on
+    free = np.zeros((len(knots), 2 + n))
     free[:, :2] = rigid.evaluate(np.clip(times, 0.0, rigid.duration), 0)[0]
     for _ in range(ITERATIONS):
-        values, by = _linearised(model, *(matrix @ free for matrix in matrices))
-        values[:, -2:] -= targets
-        change = splu(_assembled(matrices, by)).solve(values.ravel()).reshape(free.shape)
+        joints, (q, v, a) = np.split(matrices @ free, [2], axis=2)
+        values, jacobian = model.linearised(q[np.newaxis], v[np.newaxis], a[np.newaxis], np.hstack(list(joints)))
+        errors, by = values[0][:, rows], jacobian[0][:, rows[:, np.newaxis, np.newaxis], columns]
+        errors[:, n:] -= targets
+        blocks = np.einsum("ki,iakb->iab", matrices[:, row, column], by[row])
+        change = splu(bsr_array((blocks, column, starts)).tocsc()).solve(errors.ravel()).reshape(free.shape)
         free -= change
         largest = np.abs(change).max()
         if not largest > CONVERGED:
@@ -130,27 +140,3 @@ def flexible_references(
         )
     found = rest @ free
     return FlexibleReferences(model, JointSpline(found[:, :2].copy(), duration, DEGREE), found[:, 2:].copy())
-
-
-def _linearised(model: VariantModel, y: RealArray, v: RealArray, a: RealArray) -> tuple[RealArray, RealArray]:
-    """[elastic forces, end effector] and their derivatives by [y, v, a] for y = [q_a, q_e] of the first variant.
-
-    Returns:
-        Shapes (N, m) and (N, m, 3, m) for y, v, a of shape (N, m).
-    """
-    n, references = model.n, np.hstack([y[:, :2], v[:, :2], a[:, :2]])
-    values, by = model.linearised(y[np.newaxis, :, 2:], v[np.newaxis, :, 2:], a[np.newaxis, :, 2:], references)
-    rows = [*range(n), n + 2, n + 3]
-    # columns: each derivative with its joints first
-    elastic, joints = np.split(by[0][:, rows], [3 * n], axis=2)
-    shape = len(y), n + 2, 3, -1
-    return values[0][:, rows], np.concatenate([joints.reshape(shape), elastic.reshape(shape)], axis=3)
-
-
-def _assembled(matrices: list[RealArray], by: RealArray) -> csc_array:
-    """The matrix of Newton's method: of all values at all knots by all free coefficients."""
-    # blocks of all values at a knot by all coefficients of one basis function
-    row, column = np.nonzero(matrices[0])
-    blocks = np.einsum("ki,iakb->iab", np.stack([matrix[row, column] for matrix in matrices]), by[row])
-    starts = np.searchsorted(row, np.arange(len(by) + 1))
-    return bsr_array((blocks, column, starts)).tocsc()

@@ -122,8 +122,7 @@ def motor_load(
         drives: the motors, for the loads of shafts.
     """
     if name == "torque":
-        unit: tuple[RealArray | float, ...] = (1.0, 0.0, 0.0)
-        return InstantLoad(torque, np.array([np.full_like(torque, each) for each in unit]), np.zeros(1))
+        return InstantLoad(torque, np.multiply.outer([1.0, 0.0, 0.0], np.ones_like(torque)), np.zeros(1))
     if name in ("motor_torque", "shaft_torque"):
         assert drives is not None
         shaft, by_torque, by_acceleration = drives.torque(torque, speed, acceleration)
@@ -174,20 +173,20 @@ class Loads:
 
     def of_cycle(self, name: str) -> RealArray:
         """What motion and pause add to a load of the cycle, of both joints (P, 2) for one of `ROOTS`, else (P, 1)."""
-        load, convex = OF_CYCLE[name]
-        still, torque = np.zeros((1, 2)), np.broadcast_to(self._holding, (len(self.response.torque), 2))
-        at_rest = motor_load(load, torque[:, np.newaxis], still, still, self._drives).value[:, 0]
-        found = self.integral(load, convex) + self._pause * convex(at_rest)[0]
-        return found if name in ROOTS else found.sum(axis=1, keepdims=True)
+        return self.integral(*OF_CYCLE[name], self._pause)
 
     def need(self, name: str, instants: int | None = None) -> RealArray:
         """The largest magnitude of a load at the first instants, or what is added to one of the cycle: of both joints (P, 2), or (P,)."""
         found = self.of_cycle(name) if name in OF_CYCLE else np.abs(self.values(name)[:, :instants]).max(axis=1)
         return found if found.shape[1] == 2 else found.max(axis=1)
 
-    def integral(self, name: str, convex: Convex) -> RealArray:
-        """Integral over the motion of a function of a load of the motors, (P, r)."""
-        return np.asarray((self._weights * convex(self._load(name).value)[0]).sum(axis=1))
+    def integral(self, name: str, convex: Convex, pause: float = 0.0) -> RealArray:
+        """Integral over the motion, and a time at rest after it [s], of a function of a load of the motors, of each (P, 2); of powers
+        that of both together (P, 1)."""
+        still, torque = np.zeros((1, 2)), np.broadcast_to(self._holding, (len(self.response.torque), 2))
+        at_rest = motor_load(name, torque[:, np.newaxis], still, still, self._drives).value[:, 0]
+        found = (self._weights * convex(self._load(name).value)[0]).sum(axis=1) + pause * convex(at_rest)[0]
+        return np.asarray(found.sum(axis=1, keepdims=True) if name.endswith("power") else found)
 
     def rows(self, name: str, some: NDArray[np.bool_]) -> RealArray:
         """Derivatives (R, m) of some values, those that a mask (P, N, r) selects."""
@@ -203,23 +202,17 @@ class Loads:
                     found += part
         return found
 
-    def of_cycle_by(self, name: str) -> RealArray:
-        """Derivatives (P, r, m) of what is added to a load of the cycle."""
-        found = self.integral_by(*OF_CYCLE[name])
-        return found if name in ROOTS else found.sum(axis=1, keepdims=True)
-
     def integral_by(self, name: str, convex: Convex) -> RealArray:
-        """Derivatives (P, r, m) of an integral."""
-        load, m = self._load(name), self.response.torque_by.shape[-1]
-        value, slope, _ = convex(load.value)
-        found, weights = np.zeros((len(value), 2, m)), self._weights * slope
+        """Derivatives (P, 2, m) or (P, 1, m) of an integral, whatever the pause."""
+        load, found = self._load(name), np.zeros((len(self.response.torque), *self.response.torque_by.shape[2:]))
+        weights = self._weights * convex(load.value)[1]
         for by, changes in zip(load.by, self._changes, strict=True):
             if by.any():
                 found += np.einsum("pnj,pnjm->pjm", weights * by, changes)
-        if value.shape[2] == 1:
+        if name.endswith("power"):
             found = found.sum(axis=1, keepdims=True)
         # the last variable is the duration
-        found[..., -1] += (self._weights * value).sum(axis=1) / self.response.duration
+        found[..., -1] += self.integral(name, convex) / self.response.duration
         return found
 
     def curvature(self, name: str, prices: RealArray) -> RealArray:

@@ -598,7 +598,7 @@ class Stage:
             by = np.zeros((*share.shape, m))
             for each in state.ways:
                 columns = each.way.columns
-                by[..., columns] += by_whole[..., np.newaxis] * each.loads.of_cycle_by(name)[each.way.cases]
+                by[..., columns] += by_whole[..., np.newaxis] * each.loads.integral_by(*OF_CYCLE[name])[each.way.cases]
                 by[..., columns.stop - 1] += by_time
             jacobian = np.concatenate([jacobian, by[_deciding(name, share - 1.0)]])
         deciding = np.concatenate([_deciding(*part).ravel() for part in state.parts])
