@@ -14,7 +14,7 @@ import re
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from math import frexp, nan, sqrt
 from typing import Any
 
@@ -104,6 +104,12 @@ TOLERANCES = (2e-13, 1e-11, 1e-9, 1e-7)
 GUID = "{live}"
 """Of the FMU in the module."""
 
+LARGEST = 1_000_000
+"""Bytes of a page with all bits of its run; a larger one evaluates the motion between knots."""
+
+LONG = "all bits of the run, which would take more than 1 MB"
+"""What such a page can't simulate."""
+
 SPREAD = 3.0
 """Largest factor of a slider's value, either way."""
 
@@ -138,8 +144,13 @@ def live_page(run: Run) -> str:
 
 def live_report(run: Run, summary: Mapping[str, Any], rest: RealArray | None) -> Page:
     """The same with a summary, and where the robot rests (2,) [m], None for no dwell."""
-    live = simulating([("", live_run(run)), *_alternatives(run)])
-    return report_page(summary, draw_plots(run, rest), live)
+    found, others = live_run(run), [*_alternatives(run)]
+    page = report_page(summary, draw_plots(run, rest), simulating([("", found), *others]))
+    if found.facts and len(page.html.encode()) > LARGEST:
+        inexact = LiveRun({**found.facts, "grid": {"knots": found.facts["grid"]["knots"]}})
+        live = simulating([("", inexact), *others])
+        page = replace(page, live=replace(live, reasons=[LONG, *live.reasons]))
+    return page
 
 
 def _alternatives(run: Run) -> Iterator[tuple[str, LiveRun]]:
@@ -471,6 +482,7 @@ def _facts(
             if isinstance(slave := schedule.slaves[i], BlockSlave)
         ],
         "grid": grid,
+        "motors": _motors(run.scene),
         "metrics": {name: each.how for name, each in ALL_METRICS.items()},
         "task": {"times": times, "begins": jets[:, :ENDS]},
         "analysis": {
@@ -478,6 +490,13 @@ def _facts(
             for m in (3, 5)
         },
     }
+
+
+def _motors(scene: Scene) -> list[dict[str, Any]]:
+    """The motors of both joints; none where the scene has none, or ones with limits that a page doesn't compute."""
+    motors = [scene.motor.of_joint(joint) for joint in (0, 1)] if scene.motor else []
+    is_known = not any(each.torque_speed_curve or each.thermal_time_constant for each in motors)
+    return [asdict(each) for each in motors] if is_known else []
 
 
 def _sliders(
@@ -501,8 +520,9 @@ def _sliders(
         name: str, key: str, value: float, unit: str, targets: Sequence[tuple[str, float, int]], **more: Any
     ) -> None:
         low, high = _span(scene, key, value)
-        entry = {"name": name, "label": name, "key": key, "value": value, "low": low, "high": high, "unit": unit}
-        found.append(entry | {"targets": targets} | more)
+        shown, factor = ("GPa", 1e-9) if unit == "Pa" else (unit, 1.0)
+        entry = {"name": name, "label": name, "key": key, "value": value, "low": low, "high": high, "unit": shown}
+        found.append(entry | {"factor": factor, "targets": targets} | more)
 
     # the robot
     kinematic = ("start.x", "start.y", "proximal.length", "distal.length", "base_half_distance")

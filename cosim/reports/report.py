@@ -173,7 +173,7 @@ def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> Iterator[str]
     ]
     if uses:
         use, name, joint = max(uses)
-        yield Figure.said(f"; motor {joint} needs {100.0 * use:.3g} % of its {name}")
+        yield Figure.said(f"; motor {joint} needs {100.0 * use:.3g} % of its {name}", "motor")
     yield "."
 
 

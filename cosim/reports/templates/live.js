@@ -12,7 +12,7 @@
 
   // a slider of all runs that have the key: the first's value, of which the others' are multiples; along it values are multiplied, but
   // added over the interval of a sweep and between accuracies
-  const sliders = [], spread = 3, accuracy = { name: "accuracy", label: "accuracy", unit: "", value: 0, low: -2, high: 3, step: 1, of: new Map() };
+  const sliders = [], spread = 3, accuracy = { name: "accuracy", label: "accuracy", unit: "", factor: 1, value: 0, low: -2, high: 3, step: 1, of: new Map() };
   for (const simulation of simulations) for (const each of simulation.facts.sliders) {
     const [written, ...range] = swept[each.key] ?? [], known = sliders.find(({ name }) => name === each.name) ?? each, ratio = known.value / each.value;
     if (known === each) sliders.push(Object.assign(each, { of: new Map(), written, range: range.length ? range : null }));
@@ -31,23 +31,27 @@
   const valuesOf = (simulation, changed = [...state]) => Object.fromEntries(changed.flatMap(([slider, value]) => (slider.of.has(simulation) ? [[slider.name, slider.of.get(simulation)(value)]] : [])));
   const simulated = (simulation, changed) => simulation.run(simulation.options(valuesOf(simulation, changed)));
 
-  // the five that change the metrics most, and those of a sweep; the others folded away
-  const influence = (slider) => Math.max(...[...slider.of.keys()].map((simulation) => {
+  // the five that change the metrics of the first run most, and those of a sweep; the others folded away
+  const influence = (slider, simulation) => {
     try {
       const before = usual(simulation).metrics, { metrics } = simulated(simulation, [[slider, 1.1 * slider.value]]);
-      return Object.keys(before).reduce((sum, name) => sum + (before[name] && metrics[name] !== null ? Math.min(Math.abs(metrics[name] / before[name] - 1), 1) : 0), slider.range ? 100 : 0);
+      return Object.keys(before).reduce((sum, name) => sum + (before[name] && metrics[name] !== null ? Math.min(Math.abs(metrics[name] / before[name] - 1), 1) : 0), 0);
     } catch { return 0; }
-  }));
-  // as far as a second goes
-  const begin = performance.now();
-  for (const each of sliders) each.influence = performance.now() < begin + 1000 ? influence(each) : 0;
+  };
+  // as far as so many instants go, about a second; a limit of time would order them otherwise on another machine
+  let instants = 1e5;
+  for (const each of sliders) {
+    const [simulation] = each.of.keys();
+    each.influence = (each.range ? 100 : 0) + (instants > 0 ? influence(each, simulation) : 0);
+    instants -= usual(simulation).size;
+  }
   sliders.sort((a, b) => b.influence - a.influence);
   const { facts } = simulations[0];
   const written = (slider) => {
     const value = state.get(slider) ?? slider.value, { step, tolerance } = simulations[0].settings(value);
     if (slider === accuracy) return `step ${short(1e3 * step, 3)} ms, tolerance ${short(tolerance, 2)}`;
     const isSame = [...slider.of.values()].every((own) => own(value) === value);
-    return isSame ? `${short(value, 4)} ${slider.unit}`.trim() : `× ${short(value / slider.value, 4)}`;
+    return isSame ? `${short(value * slider.factor, 4)} ${slider.unit}`.trim() : `× ${short(value / slider.value, 4)}`;
   };
   const set = (slider, value) => {
     if (value === slider.value) state.delete(slider); else state.set(slider, value);
@@ -170,10 +174,11 @@
         const { residual_vibration_amplitude: most, residual_vibration_rms: rms } = metrics.get(run) ?? {}, r = results.get(run), peak = most > 0 && r.peak([0, 1].map((axis) => r.spectrum(axis)));
         return !peak ? "" : rms > offset * most && peak.height < (1 - offset) * most ? ", mostly an offset that stays" : peak.isResolved ? `, mostly at ${short(peak.frequency, 4)} Hz` : "";
       }
+      if (name === "motor") { const [use, what, joint] = results.get(run).motorUse ?? []; return joint ? `; motor ${joint} needs ${short(100 * use, 3)} % of its ${what}` : ""; }
       const value = metrics.get(run)?.[name], base = zero?.[name];
       if (value === undefined) return undefined;
       if (isError) return "";
-      const difference = compared && value && base ? ` (${value < base ? "" : "+"}${short(100 * (value / base - 1), 3)} %)` : "";
+      const difference = compared && base && value !== null ? ` (${value < base ? "" : "+"}${short((100 * (value - base)) / Math.abs(base), 3)} %)` : "";
       return value === null ? phrases[0] : phrases[value <= (limit ?? 0) ? 1 : 2].replace("{}", `${short(value * factor, Math.min(digits, errors[name] ? Math.max(-Math.floor(Math.log10(errors[name])), 1) : digits))} ${unit}`.trim() + difference);
     };
     let recorded = !isUsual && others.length > 0;
@@ -245,7 +250,11 @@
   // the state as a command, or of runs side by side as commands, and as scenes
   const command = () => {
     if (!isCompared) return active()[0].command(valuesOf(active()[0]));
-    const folders = simulations.map(({ facts: { option } }) => quoted(`results/${option}`));
+    // a run with changes has a folder with them in its name
+    const folders = simulations.map((each) => {
+      const changes = Object.entries(each.changes(valuesOf(each))).map(([key, value]) => `-${key}=${toml(value)}`).join("").replace(/[^\w.+=-]+/g, "_");
+      return quoted(`results/${each.facts.option}${changes.slice(0, 150)}`);
+    });
     return [...simulations.map((each, i) => `${each.command(valuesOf(each))} --out ${folders[i]}`), `flexfmu compare ${folders.join(" ")}`].join(" &&\n");
   };
   const copying = (button, text) => button.addEventListener("click", () => {

@@ -33,6 +33,18 @@ const page = (() => {
 
   const curveOf = ({ x, y, more, ...given }) => ({ ...given, x: numbers(x), y: numbers(y), more: Object.keys(more), extra: Object.values(more).map(numbers) });
 
+  // a curve's line, but for points within parts of a pixel; uPlot's own has steps of whole pixels where points are dense
+  const paths = (u, number, first, last) => {
+    const stroke = new Path2D(), [x, y] = u.data[number];
+    for (let i = first, before = null; i <= last; i++) {
+      const here = y[i] === null ? null : [u.valToPos(x[i], "x", true), u.valToPos(y[i], "y", true)];
+      if (here && before && Math.hypot(here[0] - before[0], here[1] - before[1]) < 0.3) continue;
+      if (here) stroke[before ? "lineTo" : "moveTo"](...here);
+      before = here;
+    }
+    return { stroke, flags: 1 };
+  };
+
   class Panel {
     constructor(chart, { limits: xLimits, ...given }, number) {
       Object.assign(this, { chart, ...given, xLimits, number, isLast: number === chart.count - 1, curves: given.curves.map((each) => ({ ...curveOf(each), unit: unitOf(given.label) })) });
@@ -44,7 +56,8 @@ const page = (() => {
       const isLog = this.log[axis];
       let low = Infinity, high = -Infinity;
       const take = (v) => { if (isFinite(v) && (!isLog || v > 0)) { low = Math.min(low, v); high = Math.max(high, v); } };
-      for (const c of this.curves) if (!c.off) for (let i = 0; i < c.x.length; i++) {
+      const drawn = this.curves.filter((c) => !c.off).flatMap((c) => (c.ghost ? [c, c.ghost] : [c]));
+      for (const c of drawn) for (let i = 0; i < c.x.length; i++) {
         if (!between || (c.x[i] >= between[0] && c.x[i] <= between[1])) take(c[axis][i]);
         // where a line crosses an end
         for (const end of between ?? []) if ((c.x[i] - end) * (c.x[i + 1] - end) < 0) take(c[axis][i] + (end - c.x[i]) / (c.x[i + 1] - c.x[i]) * (c[axis][i + 1] - c[axis][i]));
@@ -105,7 +118,7 @@ const page = (() => {
     get lines() { return this.curves.filter((c) => !(c.group === "pose" && this.motion)); }
     series({ off, width, opacity, dashes, colour: name }) {
       const facet = (scale) => ({ scale, auto: false });
-      return { show: !off && width > 0, stroke: () => colour(name), points: { show: false }, paths: uPlot.paths.linear(), facets: [facet("x"), facet("y")], width, dash: dashes, alpha: opacity };
+      return { show: !off && width > 0, stroke: () => colour(name), points: { show: false }, paths, facets: [facet("x"), facet("y")], width, dash: dashes, alpha: opacity };
     }
     // the curves for uPlot; where there is no value a curve is broken
     data() {
@@ -306,7 +319,7 @@ const page = (() => {
       const moves = { ArrowLeft: -0.01, ArrowRight: 0.01 }, zooms = { "+": 0.5, "-": 2 };
       if (event.key in moves && panel.is_function) { const to = clamp(middle + moves[event.key] * span, ...x); this.overTime ? page.at(to) : this.read(to); }
       else if (event.key in zooms && panel.is_function) this.zoom([middle - (middle - x[0]) * zooms[event.key], middle + (x[1] - middle) * zooms[event.key]]);
-      else if (event.key === "Escape" || event.key === "0") this.reset();
+      else if (event.key === "0") this.reset();
       else return;
       event.preventDefault();
     }
@@ -333,6 +346,8 @@ const page = (() => {
       [this.slider, this.shownTime] = slider("time", { min: 0, step: 1, value: 0 }, (k) => { this.stop(); page.at(this.time[k]); });
       [, this.shownTimes] = slider("deflection", { min: 0, max: Math.max(3, power + 1), step: 0.01, value: power }, (p) => { this.times = 10 ** p; this.tell(); panel.chart.build(panel.chart.width); });
       this.take(given.rows.map(numbers));
+      // a rigid robot has nothing to magnify, but for rounding
+      if (this.deviation.every((each) => Math.abs(each) < 1e-12)) this.shownTimes.parentElement.remove();
       this.tell();
     }
     // the rigid robot's elbow and angle of a leg, the end effector being at x, y
@@ -423,6 +438,7 @@ const page = (() => {
     for (const body of document.querySelectorAll(".chart")) charts.push(new Chart(body));
     const again = () => charts.forEach((each) => each.redraw());
     for (const query of ["(prefers-color-scheme: dark)", "print"]) matchMedia(query).addEventListener("change", again);
+    addEventListener("keydown", ({ key }) => { if (key === "Escape") for (const each of charts) if (!each.button.hidden) each.reset(); });
     addEventListener("beforeprint", () => charts.forEach((each) => each.later?.()));
     dispatchEvent(new Event("charts"));
   });

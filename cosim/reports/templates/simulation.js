@@ -228,7 +228,7 @@ class Simulation {
     robot.free();
     const all = this.view(Float64Array, rows, width * capacity).slice();
     const rest = this.restAt(starts);
-    return new Result(this, { all, capacity, size, elapsed, failure, stretch, rest, grid });
+    return new Result(this, { all, capacity, size, elapsed, failure, stretch, rest, grid, starts });
   }
 
   // where the end effector rests at the end of the motion
@@ -365,6 +365,20 @@ class Result {
     }
     const [first, middle, last] = thirds;
     return largest > (this.failure ? beforeFailure : beyond) || (last > atRest && last >= growth * first && last >= middle && middle >= first) || (last > onTheMove && last >= lasting * first);
+  }
+  /** The largest use of a motor's limits, as [share, limit, joint], from torques, speeds and accelerations at the run's points (motors.py). */
+  get motorUse() {
+    const { time, starts } = this, uses = this.simulation.facts.motors.flatMap((motor, j) => {
+      const [torque, speed, acceleration] = ["torque", "velocity", "acceleration"].map((what) => this.signal(`joint${j + 1}.${what}`) ?? this.signal(`joint${j + 1}.reference.${what}`));
+      const { gear_ratio: ratio, gear_efficiency: efficiency, rotor_inertia: rotor } = motor, most = (values) => values.reduce((a, b) => Math.max(a, Math.abs(b)), 0);
+      const shaft = torque.map((each, i) => {
+        const load = each - (starts.motor_inertia ?? 0) * acceleration[i];
+        return (load * efficiency ** -Math.sign(load * speed[i])) / ratio + rotor * ratio * acceleration[i];
+      });
+      const square = shaft.reduce((sum, each, i) => (i ? sum + 0.5 * (time[i] - time[i - 1]) * (each ** 2 + shaft[i - 1] ** 2) : 0), 0), rms = Math.sqrt(square / time.at(-1));
+      return [[most(shaft) / motor.peak_torque, "peak torque", j + 1], [rms / motor.continuous_torque, "RMS torque", j + 1], [(ratio * most(speed)) / motor.maximum_speed, "speed", j + 1]];
+    });
+    return uses.sort((a, b) => b[0] - a[0])[0];
   }
   // the C of the metrics, ready for segments
   analysed(segments) {

@@ -29,6 +29,7 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import definition
 from flexfmu.cosim.metrics.metrics import measure_run
+from flexfmu.cosim.metrics.motors import motor_loads
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
@@ -279,7 +280,8 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
     page.locator("#live.ready").wait_for()
     shown = page.evaluate("Array.from(page.live.usual.signal('joint1.torque', 1))")
     np.testing.assert_array_equal(shown, run.recording["joint1.torque"].first)
-    # a slider, of which zoomed charts show the curves too
+    assert page.locator(".sliders label", has_text="youngs").locator("output").inner_text() == "70 GPa"
+    # a slider, of which zoomed charts show the curves too, beside the recorded ones
     torques = "page.charts.find(each => each.key === 'torques')"
     page.evaluate(f"{torques}.zoom([0.1, 0.2])")
     painted = f"{torques}.panels[0].plot.ctx.canvas.toDataURL()"
@@ -295,7 +297,7 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
     assert page.evaluate(painted) != before_slider
     low, high = page.evaluate(f"{torques}.panels[0].shown.y")
     drawn = page.evaluate(
-        f"{torques}.panels[0].curves.flatMap(({{ x, y }}) => [...y].filter((_, i) => x[i] > 0.1 && x[i] < 0.2))"
+        f"{torques}.panels[0].curves.flatMap(c => [c, c.ghost]).flatMap(({{ x, y }}) => [...y].filter((_, i) => x[i] > 0.1 && x[i] < 0.2))"
     )
     assert (low, high) == pytest.approx((min(drawn), max(drawn)), abs=0.06 * np.ptp(drawn))
     mass = float(page.url.partition("#payload.mass=")[2])
@@ -365,6 +367,37 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
     page.close()
 
 
+def test_the_same_sliders_come_first_on_a_slow_machine(browser: Any, tmp_path: Path) -> None:
+    """Their order is that of what they change, however long that takes."""
+    path, found = flexfmu.run("barnard2012-6kg").live_report(tmp_path / "x.html"), list[Any]()
+    for script in ("", "let n = 0; performance.now = () => (n += 3000);"):
+        page = browser.new_page()
+        page.add_init_script(script)
+        page.goto(f"file://{path}")
+        page.locator("#live.ready").wait_for()
+        found.append(page.evaluate("page.live.sliders.map(each => [each.name, each.influence])"))
+        page.close()
+    assert found[0] == found[1]
+    assert min(influence for _, influence in found[0]) > 0.0
+
+
+def test_a_page_is_not_larger_than_its_limit(browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the motion between knots it is small, and says what it lacks; figures are the same to what is shown."""
+    run = flexfmu.run("barnard2012-6kg")
+    whole = run.live_report(tmp_path / "whole.html").stat().st_size
+    monkeypatch.setattr("flexfmu.cosim.exchange.live.LARGEST", whole - 10_000)
+    path = run.live_report(tmp_path / "x.html")
+    assert path.stat().st_size < 0.8 * whole
+    page, problems = opened(browser, path)
+    assert "This page can't simulate all bits of the run, which would" in page.locator(".hero").inner_text()
+    assert "bits" not in page.locator(".status").inner_text()
+    metrics = page.evaluate("page.live.usual.metrics")
+    for name, metric in measure_run(run, 0).items():
+        assert name not in metrics or metrics[name] == pytest.approx(metric.value, rel=1e-6), name
+    assert problems == []
+    page.context.close()
+
+
 def opened(browser: Any, path: Path, scheme: str = "light") -> tuple[Any, list[str]]:
     """A page that is ready, and what it tells on the console, where axe finds nothing at either width."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe
@@ -419,8 +452,10 @@ def test_a_shaper_is_switched_on(browser: Any, tmp_path: Path) -> None:
 
 
 def test_motors_stay_as_recorded(browser: Any, tmp_path: Path) -> None:
-    """Where a slider moved, tables and charts that the page doesn't compute are marked; what it computes, and its names, aren't."""
-    motor = {"continuous_torque": 60.0, "peak_torque": 90.0, "maximum_speed": 20.0}
+    """Where a slider moved, tables and charts that the page doesn't compute are marked; what it computes, and its names, aren't. The verdict's
+    motor is that of the simulated run."""
+    motor = {"continuous_torque": 4.0, "peak_torque": 6.0, "maximum_speed": 400.0}
+    motor |= {"gear_ratio": 20.0, "gear_efficiency": 0.9, "rotor_inertia": 1e-4}
     scene = load_scene("barnard2012-6kg").replace({"motor": motor})
     page, problems = opened(browser, flexfmu.run(scene).live_report(tmp_path / "x.html"))
     motors = page.locator("details", has=page.locator("summary", has_text="Motors")).locator("td")
@@ -433,6 +468,11 @@ def test_motors_stay_as_recorded(browser: Any, tmp_path: Path) -> None:
         for cells in (motors, caption):
             assert {*cells.evaluate_all(stale)} == {is_moved}
         assert {*metrics.evaluate_all(stale)} == {False}
+        mass = float(page.url.partition("#payload.mass=")[2] or 6.0)
+        loads = motor_loads(flexfmu.run(scene.replace({"payload.mass": mass})))
+        use, name, joint = max((limit.use, limit.name, load.joint) for load in loads for limit in load.margins)
+        said = f"; motor {joint} needs {100.0 * use:.3g} % of its {name}."
+        assert page.locator(".verdict").inner_text().endswith(said)
     assert problems == []
     page.context.close()
 
@@ -454,9 +494,22 @@ def test_runs_side_by_side_have_common_sliders(browser: Any, tmp_path: Path, mon
     for cell, each in zip(cells, (scene, light), strict=False):
         changed = each.replace({"payload.mass": ratio * each.payload.mass})
         assert number(cell) == pytest.approx(measure_run(flexfmu.run(changed), 0)["peak_torque_1"].value, rel=1e-4)
-    assert number(cells[1].partition("(")[2]) == pytest.approx(
-        100.0 * (number(cells[1]) / number(cells[0]) - 1.0), rel=1e-2
-    )
+    # differences have their sign where what they refer to is negative, too
+    rows = [each.locator("[data-metric]").all_inner_texts() for each in page.locator("tr:has([data-metric])").all()]
+    pairs = [(number(first), second) for first, second, *_ in rows if first != "–" and number(first)]
+    assert min(first for first, _ in pairs) < 0.0
+    for first, second in pairs:
+        difference = 100.0 * (number(second) - first) / abs(first)
+        assert number(second.partition("(")[2]) == pytest.approx(difference, rel=1e-2, abs=0.1), (first, second)
+    # lines go from point to point, not by whole pixels
+    page.evaluate("page.charts.find(each => each.key === 'compared-0').body.scrollIntoView()")
+    page.wait_for_timeout(300.0)
+    upright = """(() => { let before = NaN, found = 0; const { lineTo } = Path2D.prototype;
+      Path2D.prototype.lineTo = function (x, y) { found += x === before; before = x; lineTo.call(this, x, y); };
+      page.charts.find(each => each.key === 'compared-0').redraw();
+      return new Promise(done => setTimeout(() => { Path2D.prototype.lineTo = lineTo; done([found, before]); }, 200)); })()"""
+    found, last = page.evaluate(upright)
+    assert (found, last > 0.0) == (0, True)
     # what the page doesn't compute is as recorded
     cost = page.locator("tr", has=page.locator("th", has_text="Processor time")).locator("td.value")
     assert cost.count() > 0
@@ -464,7 +517,9 @@ def test_runs_side_by_side_have_common_sliders(browser: Any, tmp_path: Path, mon
     # copies have each scene's own value
     page.get_by_role("button", name="copy as command").click()
     *runs, compared = page.locator(".command").inner_text().split(" &&\n")
-    assert compared == "flexfmu compare results/barnard2012-6kg results/light"
+    folders = [shlex.split(each)[-1] for each in runs]
+    assert shlex.split(compared) == ["flexfmu", "compare", *folders]
+    assert [each.partition("-payload.mass=")[0] for each in folders] == ["results/barnard2012-6kg", "results/light"]
     monkeypatch.chdir(tmp_path)
     for cell, line in zip(cells, runs, strict=False):
         assert run_command(*shlex.split(line)[1:], "--no-report", "--no-verify").exit_code == 0

@@ -225,6 +225,10 @@ def test_zooming_and_back(report: Any) -> None:
     for key in ("+", "ArrowRight", "0"):
         chart.press(key)
     assert report.evaluate(LIMITS) == before
+    # wherever the focus is
+    chart.press("+")
+    report.get_by_role("button", name="play").press("Escape")
+    assert report.evaluate(LIMITS) == before
     assert values_in(figure)
 
 
@@ -299,6 +303,15 @@ def test_the_mechanism_moves(report: Any, run: Run) -> None:
     while int(time.input_value()) == 0:
         report.wait_for_timeout(50.0)
     figure.get_by_role("button", name="pause").click()
+
+
+@pytest.mark.parametrize(("name", "is_flexible"), [("report", True), ("workprec", False), ("paper", False)])
+def test_what_does_not_deflect_is_not_magnified(name: str, is_flexible: bool, browser: Any, folder: Path) -> None:
+    """A rigid robot in motion has no slider of its deflection."""
+    page = browser.new_page()
+    page.goto(f"file://{folder / name}.html")
+    assert page.locator(".controls label", has_text="deflection").count() == is_flexible
+    page.close()
 
 
 def test_axe_finds_nothing(browser: Any, folder: Path) -> None:
