@@ -24,15 +24,16 @@ from flexfmu.cosim.design.plans.sampled_loop import with_learned_torques
 from flexfmu.cosim.design.scene_files import write_new
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import OutputFolder, to_json
-from flexfmu.cosim.engine.showing import Rows
+from flexfmu.cosim.engine.showing import Rows, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.metric_table import PLAN_FIGURES, definition
+from flexfmu.cosim.metrics.metric_table import PLAN_FIGURES, definition, display
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.metrics.signals import POSITION
 from flexfmu.cosim.reports.chart import GREY, INK, PALETTE, REPEATED, Curve, Marker, Panel, scale_of
-from flexfmu.cosim.reports.comparison import ComparedRun, compared_plots, first_tiles, metrics_table
-from flexfmu.cosim.reports.page import Page, Plot, Table
+from flexfmu.cosim.reports.comparison import ComparedRun, compared_plots, metrics_table
+from flexfmu.cosim.reports.page import TILES, Page, Plot, Table
+from flexfmu.cosim.reports.page import Figure as Said
 from flexfmu.cosim.reports.plots import to_scale
 from flexfmu.cosim.reports.report import of_scene
 from flexfmu.model.reference_design.loads import OF_CYCLE
@@ -281,14 +282,16 @@ class PlanResult(Rows):
         if not self.assessed:
             return "no motion could be planned; this is the given one"
         if self.missed:
-            listed = [f"{use.name} {use.value:.4g} instead of {use.limit:.4g} ({use.where})" for use in self.missed]
+            listed = [
+                f"{use.name} {_shown(use, use.value)} instead of {_shown(use)} ({use.where})" for use in self.missed
+            ]
             so_far = " so far" if self.interrupted else ""
             in_loop = any(use.name == "loop_residual" for use in self.missed)
             remedy = ": finer encoders, shorter sample times or other gains leave less in the loop" if in_loop else ""
             return f"no motion found{so_far} keeps all limits; the nearest misses {', '.join(listed)}{remedy}"
         uses = sorted(self.chosen.uses, key=lambda use: -use.share)
         closest = [use for use in uses if use is uses[0] or use.share > BINDING]
-        listed = [f"{use.name} {use.value:.4g} of {use.limit:.4g} ({use.where})" for use in closest]
+        listed = [f"{use.name} {_shown(use, use.value)} of {_shown(use)} ({use.where})" for use in closest]
         return f"all limits are kept; the closest {'is' if len(closest) == 1 else 'are'} {', '.join(listed)}"
 
     def row_units(self) -> Mapping[str, str]:
@@ -338,6 +341,14 @@ class PlanResult(Rows):
     def rows(self) -> list[dict[str, Any]]:
         """The front, and motions to compare with, as rows: label, method, figures, and whether all limits are kept."""
         return [each.row for each in self.table]
+
+
+def _shown(use: Limit, value: float | None = None) -> str:
+    """A limit, or a value of what it limits, in the unit of tables."""
+    value = use.limit if value is None else value
+    if use.is_relative or use.figure not in PLAN_FIGURES:
+        return f"{value:.4g} {shown_unit(use.unit)}".rstrip()
+    return display(use.figure, value, 4)
 
 
 def check_drive(rate: float, unit: str, counts: float | None) -> None:
@@ -488,11 +499,27 @@ def plan_page(result: PlanResult) -> str:
     low, high = result.goals.band
     # what was planned, and whether it keeps to all limits
     chosen = result.chosen.candidate
-    lead = f"{chosen.label} ({chosen.method}), for payloads of {low:.4g} to {high:.4g} kg: {result.verdict}."
+    what = chosen.label if chosen.method in chosen.label else f"{chosen.label} ({chosen.method})"
+    lead = f"The motion: {what}; figures are given → planned, the worst over payloads of {low:.4g} to {high:.4g} kg."
     lead += " Stopped before the end: this is the best motion so far." if result.interrupted else ""
+    verdict = Said.said(f"{result.verdict[0].upper()}{result.verdict[1:]}.", is_over=bool(result.missed))
     title, frame = f"{result.goals.scene.name}: planned motion", of_scene(runs[-1].scene, runs[-1])
     tables.append(metrics_table(compared))
-    return Page(title, lead, [*plots, *compared_plots(compared)], tables, first_tiles(compared), **frame).html
+    plots += compared_plots(compared)
+    return Page(title, [verdict], plots, tables, _tiles(result), lead, **frame).html
+
+
+def _tiles(result: PlanResult) -> list[tuple[str, Sequence[str]]]:
+    """The time, the figures that limits are about and others, given and planned; in red what misses a limit."""
+    limits = [use for use in result.chosen.uses if use.figure in PLAN_FIGURES and use.figure != "clearance"]
+    tiles = list[tuple[str, Sequence[str]]]()
+    for name in [*dict.fromkeys(["time", *(use.figure for use in limits), *FRONT])][:TILES]:
+        uses = [use for use in limits if use.figure == name]
+        texts = [f"limit {_shown(use)}{' times the given' if use.is_relative else ''}" for use in uses]
+        given, planned = (display(name, each.worst(name), 4) for each in (result.given, result.chosen))
+        values = given, Said.said(planned, is_over=not all(use.met for use in uses))
+        tiles.append((", ".join([definition(name).label, *texts]), values))
+    return tiles
 
 
 def summary_table(result: PlanResult) -> Table:
@@ -549,7 +576,8 @@ def limits_table(found: Assessment) -> Table:
     """How close a motion comes to each limit, and where."""
     rows = []
     for use in found.uses:
-        unit, share, kept = "-" if use.unit == "1" else use.unit, f"{100 * use.share:.1f} %", "yes" if use.met else "no"
+        unit, share = "-" if use.unit == "1" else use.unit, f"{100 * use.share:.1f} %"
+        kept = Said.said("yes" if use.met else "no", is_over=not use.met)
         rows.append([use.name, f"{use.value:.4g}", f"{use.limit:.4g}", unit, share, kept, use.where])
     header = ["Limit", "Value", "At most", "Unit", "Used", "Kept", "Where"]
     return Table("Limits", header, rows, "Worst over all robots of the bands. Clearance: depth in the keep-out region.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import replace
@@ -23,7 +24,7 @@ from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans import assessment, planner
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, own_candidate
 from flexfmu.cosim.design.plans.goals import Variation, check_holding_torque, goals_of
-from flexfmu.cosim.design.plans.plan_result import FRONT, PlanResult, write_plan, write_scene
+from flexfmu.cosim.design.plans.plan_result import FRONT, PlanResult, plan_page, write_plan, write_scene
 from flexfmu.cosim.design.plans.planner import about_plan, best, plan_scene
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.outcome import Outcome
@@ -186,8 +187,19 @@ def test_the_chosen_motion_misses_least_or_is_the_fastest_that_keeps_all(
 def test_what_no_motion_reaches_is_said() -> None:
     found = plan_scene(SCENE.replace({"plan.residual": 1e-12}), methods=(), candidates=[stretched(1.2)], robust=False)
     assert [use.name for use in found.missed] == ["residual"]
-    assert "no motion found keeps all limits" in found.verdict
+    left, misses = found.chosen.shown("residual"), "no motion found keeps all limits; the nearest misses residual"
+    assert found.verdict.startswith(f"{misses} {left} µm instead of 1e-06 µm (")
     assert found.chosen.candidate.label == "stretched 1.2"
+    # the page begins with it, then the time and what is limited, the worst over the band; in red what is missed
+    page = plan_page(found)
+    assert re.search(r'verdict">.*class="over">No motion found keeps all limits', page)
+    tiles = re.findall(r'<div class="tile"><b>(.*)</b><span>(.*?)</span></div>', page)
+    texts = [re.sub("<.*?>", "", values) for values, _ in tiles]
+    assert (texts[0], tiles[0][1]) == (f"{found.given.time:.4g} s → {found.chosen.time:.4g} s", "Total time")
+    assert texts[1] == f"{found.given.shown('residual')} µm → {left} µm"
+    assert tiles[1][1] == "Residual vibration, limit 1e-06 µm"
+    assert [label.partition(",")[0] for values, label in tiles if 'class="over"' in values] == ["Residual vibration"]
+    assert page.count(' class="over">no</span>') == 1
 
 
 def test_ctrl_c_gives_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
