@@ -6,8 +6,9 @@ estimate (`flexfmu.cosim.design.effects.estimator`): a peak, a root mean square,
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import degrees, inf, log10, pi
 from operator import methodcaller
 from typing import Any
@@ -166,6 +167,11 @@ LOOP_METRICS: Mapping[str, MetricDefinition] = _defined([
 ALL_METRICS: Mapping[str, MetricDefinition] = {**COMMON_METRICS, **MOTOR_METRICS, **LOOP_METRICS}
 """The metrics of runs."""
 
+OF_BOTH: Mapping[str, tuple[str, str]] = {
+    name.removesuffix("_2"): (f"{name.removesuffix('_2')}_1", name) for name in ALL_METRICS if name.endswith("_2")
+}
+"""Name of a metric without its joint or leg → those of both."""
+
 
 def _decibels(value: float) -> float:
     return 20.0 * log10(value) if value > 0.0 else -inf
@@ -214,7 +220,11 @@ PLAN_FIGURES: Mapping[str, MetricDefinition] = {
 }
 """Figures of a planned motion, the largest of all robots and joints."""
 
-_EVERY = {**PLAN_FIGURES, **LOOP_FIGURES, **ALL_METRICS}
+_LARGER = {
+    name: replace(ALL_METRICS[first], label=re.sub(r"(\w+) 1$", r"larger of both \1s", ALL_METRICS[first].label))
+    for name, (first, _) in OF_BOTH.items()
+}
+_EVERY = {**_LARGER, **PLAN_FIGURES, **LOOP_FIGURES, **ALL_METRICS}
 
 
 def metric(name: str, value: float | None, **known: Any) -> Metric:
@@ -231,12 +241,17 @@ def metric(name: str, value: float | None, **known: Any) -> Metric:
 
 
 def definition(name: str) -> MetricDefinition:
-    """Return what a metric of `ALL_METRICS` or a figure of `LOOP_FIGURES` or `PLAN_FIGURES` is.
+    """Return what a metric of `ALL_METRICS` or `OF_BOTH`, or a figure of `LOOP_FIGURES` or `PLAN_FIGURES` is.
 
     Raises:
         KeyError: there is none of this name.
     """
     return _EVERY[name]
+
+
+def larger(name: str, values: Mapping[str, float | None]) -> str:
+    """Return the name of the metric, of `OF_BOTH` that of the joint or leg with the larger value."""
+    return max(OF_BOTH.get(name, (name,)), key=lambda each: max(0.0, values.get(each) or 0.0))
 
 
 def display(name: str, value: float | None, digits: int | None = None, error: float | None = None) -> str:

@@ -12,7 +12,7 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, definition, display
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, OF_BOTH, definition, display, larger
 from flexfmu.cosim.reports.page import FIRST_METRICS, TILES, Figure, Page, Plot, Table
 from flexfmu.cosim.reports.plots import Shown, signal_plots
 from flexfmu.cosim.reports.report import of_scene
@@ -42,7 +42,7 @@ BEYOND = 1.5
 
 RANKS = {
     "residual_vibration_amplitude": "has the least residual vibration",
-    "peak_torque_1": "has the smallest peak torque",
+    "peak_torque": "has the smallest peak torque",
 }
 """Metric → what the run with the smallest value does."""
 
@@ -121,8 +121,9 @@ def comparison_page(runs: Sequence[ComparedRun], tables: Sequence[Table], plots:
 def first_tiles(runs: Sequence[ComparedRun]) -> list[tuple[str, Sequence[str]]]:
     """Return what each of the main figures is, and its values of the first runs."""
     tiles = list[tuple[str, Sequence[str]]]()
-    for name in dict.fromkeys([*FIRST_METRICS, *ALL_METRICS]):
-        found = [run.metrics.get(name, Metric(None)) for run in runs[:TILE_RUNS]]
+    said = {part for name in FIRST_METRICS for part in OF_BOTH.get(name, [name])}
+    for name in (*FIRST_METRICS, *(each for each in ALL_METRICS if each not in said)):
+        found = [run.metrics.get(larger(name, run.metrics), Metric(None)) for run in runs[:TILE_RUNS]]
         if any(each.value is not None for each in found) and len(tiles) < TILES:
             shown = [Figure.of(name, each.value, run=i, digits=4, error=each.error) for i, each in enumerate(found)]
             tiles.append((definition(name).label, shown))
@@ -138,14 +139,16 @@ def _ranks(runs: Sequence[ComparedRun]) -> Iterator[str]:
         values = {
             run.name: each.value
             for run in runs
-            if not run.failure and (each := run.metrics.get(name)) is not None and each.value is not None
+            if not run.failure
+            and (each := run.metrics.get(larger(name, run.metrics))) is not None
+            and each.value is not None
         }
         if len({*values.values()}) > 1:
             best = min(values, key=values.__getitem__)
             found = f"{best} {text}, {display(name, values[best], 3)}. "
             info = definition(name)
             facts: dict[str, Any] = {"factor": info.displayed(1.0), "unit": info.display_unit, "phrases": text}
-            yield Figure.said(found, "least", of=name, names=names, **facts)
+            yield Figure.said(found, "least", parts=OF_BOTH.get(name, [name]), names=names, **facts)
 
 
 def _rows(

@@ -17,7 +17,7 @@ from typing import Any, Self
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from flexfmu.cosim.metrics.metric_table import definition, display
+from flexfmu.cosim.metrics.metric_table import OF_BOTH, definition, display
 from flexfmu.cosim.reports.chart import MOST_POINTS, Panel
 
 HEIGHT = 194.4
@@ -31,14 +31,14 @@ POINTS, FEWEST, LIVE_POINTS = 60_000, 40, 300
 simulates has fewer, for the page draws the curves of its own runs."""
 
 FIRST_METRICS = (
-    "peak_torque_1",
-    "peak_tip_deflection_1",
+    "peak_torque",
+    "peak_tip_deflection",
     "peak_position_error",
     "rms_acceleration_error",
     "residual_vibration_amplitude",
     "settling_time",
 )
-"""Metrics shown at the top of pages."""
+"""Metrics shown at the top of pages, of both joints or legs the larger one."""
 
 TILES = 6
 """Largest number of figures there."""
@@ -77,7 +77,7 @@ class Figure(str):
         """A metric of one of the page's runs, with as many digits as its error allows.
 
         Args:
-            name: of the metric.
+            name: of the metric, or of `OF_BOTH`.
             value: in SI units; None for none.
             run: place of the run among those of the page.
             error, digits: as for `display`.
@@ -95,8 +95,8 @@ class Figure(str):
             text += f" ({100.0 * (value - base) / abs(base):+.3g} %)".replace("-", "−")
         within = value is not None and value <= (limit or 0.0)
         phrase = phrases[0 if value is None else 1 if within else 2]
-        facts = {"factor": factor, "unit": unit, "limit": limit, "digits": digits or 5}
-        facts |= {"compared": base is not None, "phrases": phrases}
+        facts: dict[str, Any] = {"parts": OF_BOTH.get(name, [name]), "factor": factor, "unit": unit, "limit": limit}
+        facts |= {"digits": digits or 5, "compared": base is not None, "phrases": phrases}
         return cls.said(phrase.replace("{}", text), name, is_over=is_over, run=run, **facts)
 
     @classmethod

@@ -10,7 +10,7 @@ import numpy as np
 
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, display_error
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, display_error, larger
 from flexfmu.cosim.reports.page import FIRST_METRICS, RECORDED, Figure, Live, Page, Plot, Table
 from flexfmu.cosim.reports.plots import robot_motion, scene_plot
 from flexfmu.cosim.reports.summary import (
@@ -112,15 +112,19 @@ def _notices(summary: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
 
 
 def _tile(name: str, summary: Mapping[str, Any]) -> tuple[str, Sequence[str]]:
-    """One of the six figures, with its limit where the scene has one: the settling band, and the peak torque of a motor."""
-    limits = {"residual_vibration_amplitude": summary["scene"]["cosimulation"]["settling_band"]}
+    """One of the six figures, with its limit where the scene has one: the settling band, and the peak torque of equal motors."""
+    metrics, torques = summary["metrics"], set[float | None]()
     for motor in summary.get("motors", ()):
         # behind a gear or with a rotor the shaft has another torque than the joint
-        joint = f"peak_torque_{motor['joint']}"
         (peak,) = (each for each in motor["margins"] if each["name"] == "peak torque")
-        limits[joint] = peak["limit"] if isclose(peak["value"], summary["metrics"][joint], rel_tol=SAME) else None
-    limit = limits.get(name)
-    value = Figure.of(name, summary["metrics"][name], digits=4, error=summary["errors"][name], limit=limit)
+        is_same = isclose(peak["value"], metrics[f"peak_torque_{motor['joint']}"], rel_tol=SAME)
+        torques.add(peak["limit"] if is_same else None)
+    limits = {
+        "residual_vibration_amplitude": summary["scene"]["cosimulation"]["settling_band"],
+        "peak_torque": torques.pop() if len(torques) == 1 else None,
+    }
+    limit, part = limits.get(name), larger(name, metrics)
+    value = Figure.of(name, metrics[part], digits=4, error=summary["errors"][part], limit=limit)
     return definition(name).label + ("" if limit is None else f", limit {display(name, limit, 4)}"), [value]
 
 
@@ -136,7 +140,7 @@ def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> Iterator[str]
         return
 
     def figure(name: str, usual: str, *, none: str = "", least: str = "", **more: Any) -> Figure:
-        return Figure.of(name, metrics[name], digits=3, phrases=(none, least or usual, usual), **more)
+        return Figure.of(name, metrics[larger(name, metrics)], digits=3, phrases=(none, least or usual, usual), **more)
 
     residual = metrics["residual_vibration_amplitude"]
     if residual is not None:
@@ -165,9 +169,8 @@ def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> Iterator[str]
     else:
         yield "The robot"
     yield figure("peak_position_error", " is up to {} off its planned motion", none=" has no position error")
-    bent = max((1, 2), key=lambda link: metrics[f"peak_tip_deflection_{link}"] or 0.0)
-    if metrics[f"peak_tip_deflection_{bent}"]:
-        yield figure(f"peak_tip_deflection_{bent}", f", while link {bent} bends by {{}}")
+    if metrics[larger("peak_tip_deflection", metrics)]:
+        yield figure("peak_tip_deflection", ", while its links bend by up to {}")
     uses = [
         (each["use"], each["name"], motor["joint"]) for motor in summary.get("motors", ()) for each in motor["margins"]
     ]

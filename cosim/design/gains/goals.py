@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.engine.errors import InputError, suggestion
 from flexfmu.cosim.engine.showing import UNITS
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, OF_BOTH, definition
 
 MARGINS = ("gain_margin", "phase_margin", "delay_margin", "disk_margin", "sensitivity_peak")
 """Figures of the linear loop, the worst along the path; see `flexfmu.margins`."""
@@ -104,11 +104,9 @@ def parse_goal(name: str) -> Goal:
     whole = "gain_margin" if name == "margin" else name
     if whole in ALL_METRICS or whole in MARGINS:
         return Goal(name, (whole,))
-    parts = tuple(each for each in (f"{name}_1", f"{name}_2") if each in ALL_METRICS)
-    if len(parts) == 2:
-        return Goal(name, parts)
-    known = [*ALL_METRICS, *dict.fromkeys(each[:-2] for each in ALL_METRICS if each.endswith("_2")), *MARGINS]
-    hint = suggestion(name, known)
+    if name in OF_BOTH:
+        return Goal(name, OF_BOTH[name])
+    hint = suggestion(name, [*ALL_METRICS, *OF_BOTH, *MARGINS])
     raise InputError(f"there is no figure {name!r} of a run or a loop; {hint}")
 
 

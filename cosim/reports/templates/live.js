@@ -111,7 +111,7 @@
   // draw results; recorded curves stay as thin lines
   const cells = [...document.querySelectorAll("[data-metric]")].map((cell) => ({ cell, name: cell.dataset.metric, text: cell.textContent, ...JSON.parse(cell.dataset.shown) }));
   const sourcesOf = ({ panels }) => panels.flatMap(({ curves }) => curves.map((each) => each.source)).filter(Boolean), metricCurves = charts.flatMap(sourcesOf).map((each) => each.metric).filter(Boolean);
-  const shown = new Set([...cells.filter((each) => each.factor).map((each) => each.name), ...metricCurves]), verdict = document.querySelector(".verdict"), sentences = [...verdict.childNodes];
+  const shown = new Set([...cells.filter((each) => each.factor).flatMap((each) => each.parts), ...metricCurves]), verdict = document.querySelector(".verdict"), sentences = [...verdict.childNodes];
   shown.add("residual_vibration_amplitude").add("residual_vibration_rms");
   // relative errors of the metrics as far as they are known
   let errors = {};
@@ -162,12 +162,13 @@
     verdict.replaceChildren(...(ended ? [ended] : sentences));
     const measured = (r) => (r.failure ? Object.fromEntries([...shown].map((name) => [name, null])) : (r.measured ?? r.measure(shown)));
     const metrics = new Map([...results].map(([place, r]) => [place, measured(r)])), zero = metrics.get(0);
+    const larger = (values, parts) => parts.reduce((most, part) => (values?.[part] > (most ?? -1) ? values[part] : most), values?.[parts[0]]);
     // a figure in words; undefined if the page doesn't compute it
-    const worded = ({ name, text, run, factor, unit, limit, digits, compared, phrases, stays, isError, of, names, failed, offset }) => {
+    const worded = ({ name, text, run, factor, unit, limit, digits, compared, phrases, stays, isError, parts = [name], names, failed, offset }) => {
       if (name === "state") { const { state: now } = results.get(run); return !now && stays && text ? undefined : now && `${now}. `; }
       if (name === "failures") { const bad = names.filter((_, place) => (results.has(place) ? results.get(place).state : failed.includes(place))); return bad.length ? `Unstable or failed: ${bad.join(", ")}. ` : ""; }
       if (name === "least") {
-        const known = names.map((each, place) => [metrics.get(place)?.[of], each]).filter(([value], place) => results.get(place)?.state === "" && value !== null && value !== undefined).sort((a, b) => a[0] - b[0]);
+        const known = names.map((each, place) => [larger(metrics.get(place), parts), each]).filter(([value], place) => results.get(place)?.state === "" && value !== null && value !== undefined).sort((a, b) => a[0] - b[0]);
         return known.length > 1 ? `${known[0][1]} ${phrases}, ${short(known[0][0] * factor, 3)} ${unit}. ` : "";
       }
       if (name === "ringing") {
@@ -175,18 +176,18 @@
         return !peak ? "" : rms > offset * most && peak.height < (1 - offset) * most ? ", mostly an offset that stays" : peak.isResolved ? `, mostly at ${short(peak.frequency, 4)} Hz` : "";
       }
       if (name === "motor") { const [use, what, joint] = results.get(run).motorUse ?? []; return joint ? `; motor ${joint} needs ${short(100 * use, 3)} % of its ${what}` : ""; }
-      const value = metrics.get(run)?.[name], base = zero?.[name];
+      const value = larger(metrics.get(run), parts), base = larger(zero, parts), error = Math.max(...parts.map((each) => errors[each] ?? 0));
       if (value === undefined) return undefined;
       if (isError) return "";
       const difference = compared && base && value !== null ? ` (${value < base ? "" : "+"}${short((100 * (value - base)) / Math.abs(base), 3)} %)` : "";
-      return value === null ? phrases[0] : phrases[value <= (limit ?? 0) ? 1 : 2].replace("{}", `${short(value * factor, Math.min(digits, errors[name] ? Math.max(-Math.floor(Math.log10(errors[name])), 1) : digits))} ${unit}`.trim() + difference);
+      return value === null ? phrases[0] : phrases[value <= (limit ?? 0) ? 1 : 2].replace("{}", `${short(value * factor, Math.min(digits, error ? Math.max(-Math.floor(Math.log10(error)), 1) : digits))} ${unit}`.trim() + difference);
     };
     let recorded = !isUsual && others.length > 0;
     for (const each of cells) {
-      const { cell, name, text, run, limit } = each, said = isUsual ? text : worded(each);
+      const { cell, parts, text, run, limit } = each, said = isUsual ? text : worded(each);
       cell.textContent = said ?? text;
       cell.classList.toggle("stale", said === undefined);
-      if (!isUsual && limit) cell.classList.toggle("over", metrics.get(run)?.[name] > limit);
+      if (!isUsual && limit) cell.classList.toggle("over", larger(metrics.get(run), parts) > limit);
       recorded ||= said === undefined && text !== "";
     }
     get(".recorded").hidden = !recorded;

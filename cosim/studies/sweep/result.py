@@ -27,7 +27,7 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.showing import Rows, cell_text, safe_cell, shown_unit
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.many.journal import Journal, difference
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, MetricDefinition, definition, display, metric
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, OF_BOTH, MetricDefinition, definition, display, metric
 from flexfmu.cosim.reports.chart import INK, PALETTE, Curve, Panel
 from flexfmu.cosim.reports.page import FIRST_METRICS, TILES, Page, Plot, Table
 from flexfmu.cosim.reports.report import of_scene
@@ -193,7 +193,10 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
             InputError: a model from equations was swept, which has no such page.
             MissingCompilerError: there is no ziglang, which compiles the scene for the page.
         """
-        found, names = self.summary(), [name for name in FIRST_METRICS if name in self.metrics]
+        found, names = (
+            self.summary(),
+            [name for each in FIRST_METRICS if (name := OF_BOTH.get(each, [each])[0]) in self.metrics],
+        )
         shown = [name for name in dict.fromkeys([*names, *self.metrics]) if name in found][:PLOTS]
         tiles = [
             (f"{definition(name).label}, from smallest to largest", [display(name, found[name][end], 4) for end in ("min", "max")])

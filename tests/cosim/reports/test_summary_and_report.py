@@ -19,12 +19,12 @@ from flexfmu.cosim.engine.results import Column
 from flexfmu.cosim.experiment.accuracy import AccuracyAnswer, FigureError, PricedSettings, WorkPrecisionTrial
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.metric_table import COMMON_METRICS
+from flexfmu.cosim.metrics.metric_table import COMMON_METRICS, display, metric
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.cosim.reports.plots import LONGEST, draw_plots, magnification, path_panel, robot_motion, to_scale
 from flexfmu.cosim.reports.report import report_page
-from flexfmu.cosim.reports.summary import describe_effects, summarise
+from flexfmu.cosim.reports.summary import MOTOR_VALUES, describe_effects, summarise
 
 MakeRun = Callable[..., Run]
 
@@ -151,6 +151,35 @@ def test_large_deflections_are_said(make_run: MakeRun) -> None:
     assert len(sentences) == 1
     assert sentences[0].startswith("links bend by up to 50 % of their length: the path may be off by more than 50 %")
     assert "links bend by up to 50 % of their length" in report_of(bent_run)
+
+
+def test_the_larger_of_both_joints_is_shown(make_run: MakeRun) -> None:
+    """As a figure, against the limit of both motors, and in the sentence on links that bend."""
+    run = make_run()
+    of_both = {"peak_torque": 70.0, "peak_tip_deflection": 1e-3}
+    changed = {f"{name}_{joint}": value * joint for name, value in of_both.items() for joint in (1, 2)}
+    summary = summarise(run, {**measure_run(run), **{name: metric(name, value) for name, value in changed.items()}})
+    for limits in ((100.0, 100.0), (100.0, 90.0)):
+        torques = [changed["peak_torque_1"], changed["peak_torque_2"]]
+        summary["motors"] = [
+            {
+                **{key: None for key, _, _ in MOTOR_VALUES},
+                "joint": joint,
+                "name": "",
+                "margins": [
+                    {"name": "peak torque", "value": value, "limit": limit, "unit": "N.m", "use": value / limit}
+                ],
+            }
+            for joint, (value, limit) in enumerate(zip(torques, limits, strict=True), 1)
+        ]
+        page = report_page(summary, ())
+        (label, (torque,)), (other, (deflection,)), *_ = page.tiles
+        has_limit = limits[0] == limits[1]
+        assert label == "Peak torque, larger of both joints" + (", limit 100 N·m" if has_limit else "")
+        assert other == "Tip deflection, larger of both links"
+        assert torque == display("peak_torque_2", torques[1], 4)
+        assert (torque.is_over, deflection.is_over) == (has_limit, False)
+        assert "while its links bend by up to 2 mm" in "".join(page.sentences)
 
 
 @pytest.mark.parametrize(("share", "said"), [(0.009, 0), (0.011, 1)])
