@@ -182,9 +182,15 @@ class Goals:
         """The shortest way from start to end within the workspace and around the regions on a grid, (N, 2) [m].
 
         Raises:
-            InputError: there is none.
+            InputError: there is none, or start or end lies in a region.
         """
         mechanism, kinematics, ends = self.scene.mechanism, self.given.kinematics, self.trace[[0, -1]]
+        for name, (x, y), distance in zip(("start", "end"), ends, self.clearance.distance(ends), strict=True):
+            if distance < -self.wishes.margin:
+                raise InputError(
+                    f"`plan.keep_out` contains the {name} of the motion, ({x:g}, {y:g}) m, or with `links` one of them there, "
+                    f"{1e3 * -distance:.3g} mm within its outline: make the region smaller"
+                )
         reach = mechanism.base_half_distance + mechanism.proximal.length + mechanism.distal.length
         side = np.linspace(-reach, reach, GRID)
         points, cell = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2), side[1] - side[0]
@@ -201,8 +207,8 @@ class Goals:
         length, before = dijkstra(pairs.tocsr(), indices=start, return_predecessors=True)
         if not np.isfinite(length[end]):
             raise InputError(
-                f"`plan.keep_out` leaves no way within the workspace from the start to the end, "
-                f"({ends[1, 0]:g}, {ends[1, 1]:g}) m: open a gap, or make a region smaller"
+                f"`plan.keep_out` leaves no way within the workspace from the start to the end, ({x:g}, {y:g}) m: open a gap, or "
+                f"make a region smaller"
             )
         places = [end]
         while places[-1] != start:
@@ -400,23 +406,11 @@ def checked_goals(scene: Scene) -> Goals:
     """
     goals = goals_of(scene)
     for each in goals.ways:
-        _check_way(each)
+        if each.wishes.keep_out:
+            _ = each.way_around
         check_holding_torque(each)
     _check_duration(goals)
     return goals
-
-
-def _check_way(goals: Goals) -> None:
-    """There must be a way from start to end within the workspace, around the user's regions, in which neither lies."""
-    ends = goals.trace[[0, -1]]
-    for name, (x, y), distance in zip(("start", "end"), ends, goals.clearance.distance(ends), strict=True):
-        if distance < -goals.wishes.margin:
-            raise InputError(
-                f"`plan.keep_out` contains the {name} of the motion, ({x:g}, {y:g}) m, or with `links` one of them there, "
-                f"{1e3 * -distance:.3g} mm within its outline: make the region smaller"
-            )
-    if goals.wishes.keep_out:
-        _ = goals.way_around
 
 
 def check_holding_torque(goals: Goals, robots: Sequence[Variation] = (), given: RealArray | None = None) -> None:
