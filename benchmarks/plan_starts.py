@@ -17,9 +17,8 @@ from flexfmu import load_scene
 from flexfmu.cosim.cli.design import with_wishes
 from flexfmu.cosim.design.plans.assessment import JUDGED, Judge
 from flexfmu.cosim.design.plans.goals import checked_goals
-from flexfmu.cosim.design.plans.optimal import FEW, limited
+from flexfmu.cosim.design.plans.optimal import FEW, limited, robots_of
 from flexfmu.model.one_thread import one_blas_thread
-from flexfmu.model.reference_design.elastic_response import RobotVariant
 from flexfmu.model.reference_design.joint_spline import REST, JointSpline
 from flexfmu.model.reference_design.optimal_control import LOOSE, optimal_motion
 from flexfmu.model.scene.errors import EquilibriumError
@@ -50,13 +49,12 @@ def shares(scene: Scene, number: int, seed: int) -> list[float]:
     """Shares of the given time that motions within all limits take."""
     goals = checked_goals(scene)
     judge, variations = Judge(goals, JUDGED), goals.variations(FEW)
-    robots = [RobotVariant(scene, each.changes(scene)) for each in variations]
-    (way,), loads = limited(goals, judge.given, [(robots, np.arange(len(robots)))])
-    found = list[float]()
-    assert isinstance(way.start, JointSpline)
-    for start in first_motions(way.start, number, seed):
+    problem, found = limited(goals, judge.given, [robots_of(scene, variations)]), list[float]()
+    given = problem.ways[0].start
+    assert isinstance(given, JointSpline)
+    for start in first_motions(given, number, seed):
         try:
-            *_, last = optimal_motion([replace(way, start=start)], loads, range(len(robots)), loose=LOOSE)
+            *_, last = optimal_motion(problem.begun([start], loose=LOOSE), range(len(variations)))
         except (EquilibriumError, TrajectoryError):
             continue
         if max(last.violations.values()) < MET:

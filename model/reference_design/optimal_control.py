@@ -29,7 +29,7 @@ Maza, Nonlinear programming and nonsmooth optimization by successive linear prog
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -81,42 +81,6 @@ TINY = 1e-9
 
 SLOW = 6.0
 """Modes up to this multiple of a variant's lowest frequency count; smooth references don't excite faster ones."""
-
-
-@dataclass(frozen=True, eq=False)
-class MotionLimits:
-    """Limits of a motion for P variants.
-
-    Attributes:
-        loads: largest magnitudes of `Loads` at each instant, by name, of both joints (P, 2) or (P,).
-        speed, acceleration, jerk: largest magnitudes of the joint references [rad/s, rad/s², rad/s³]; one or one for each joint.
-        residual: largest displacement of the end effector by vibration after the motion [m].
-        distances: to what the end effector must keep clear of.
-        pause: time at rest after the motion [s], which RMS torques contain.
-        settled_within: time after the motion from which the residual vibration counts [s].
-        drives: the motors, for their loads; None for none.
-        clearance: the smallest distance [m].
-    """
-
-    loads: Mapping[str, RealArray]
-    speed: float | RealArray
-    acceleration: float | RealArray
-    jerk: float | RealArray
-    residual: float
-    distances: Distances
-    pause: float = 0.0
-    settled_within: float = 0.0
-    drives: Drives | None = None
-    clearance: float = 0.0
-
-    def tightened(self, factors: Mapping[str, float]) -> MotionLimits:
-        """The limits, each divided by a factor, 1 where there is none; the clearance is larger by ``clearance`` [m]."""
-        return replace(
-            self,
-            clearance=self.clearance + factors.get("clearance", 0.0),
-            **{name: getattr(self, name) / factors.get(name, 1.0) for name in (*RATES, "residual")},
-            loads={name: limit / factors.get(name, 1.0) for name, limit in self.loads.items()},
-        )
 
 
 def _deciding(name: str, values: RealArray) -> NDArray[np.bool_]:
@@ -317,28 +281,69 @@ class Way:
     """A motion, alone or of a cycle.
 
     Attributes:
-        robots: the robots; those of one scene follow each other, by payload.
-        limits: the limits, with torques for all robots.
+        robots: the robot of each case, a payload that is carried through the cycle; several cases may have the same, and those of one
+            scene follow each other, by payload.
         start: first motion; it may violate limits, and half the duration of a usual motion serves well.
-        of_case: index of the robot of each case (C,), the payload that is carried through the cycle; None for one case a robot.
+        distances: to what the end effector must keep clear of.
+        pause: time at rest after the motion [s], which RMS torques contain.
     """
 
     robots: Sequence[RobotVariant]
-    limits: MotionLimits
     start: DesignedMotion
-    of_case: NDArray[np.intp] | None = None
+    distances: Distances
+    pause: float = 0.0
 
-    @property
-    def cases(self) -> NDArray[np.intp]:
-        """Index of the robot of each case (C,)."""
-        return np.arange(len(self.robots)) if self.of_case is None else self.of_case
 
-    def of_cases(self, chosen: NDArray[np.intp]) -> Way:
-        """The way with the robots of some cases."""
-        index, cases = np.unique(self.cases[chosen], return_inverse=True)
-        loads = {name: limit[index] for name, limit in self.limits.loads.items()}
-        robots, limits = [self.robots[int(k)] for k in index], replace(self.limits, loads=loads)
-        return replace(self, robots=robots, limits=limits, of_case=cases)
+def fleet_of(robots: Sequence[RobotVariant]) -> tuple[list[RobotVariant], NDArray[np.intp]]:
+    """Each robot once, and the index of that of each case (C,)."""
+    fleet = [*dict.fromkeys(robots)]
+    return fleet, np.array([fleet.index(each) for each in robots])
+
+
+@dataclass(frozen=True, eq=False)
+class MotionProblem:
+    """Limits of a motion, or of a cycle, for C cases, and first motions from which those that keep them are found.
+
+    Attributes:
+        ways: the motion, or the ways of a cycle, each of which starts where the one before ends.
+        limits: largest magnitudes by name: of `RATES` for both joint references (2,) [rad/s, rad/s², rad/s³]; of `Loads` for each case,
+            of both joints (C, 2) or (C,): at each instant, or of all ways with the pauses after them.
+        residual: largest displacement of the end effector by vibration after a motion [m].
+        clearance: the smallest distance [m].
+        settled_within: time after a motion from which the residual vibration counts [s].
+        drives: the motors, for their loads; None for none.
+        loose: first bound of the residual vibration [m]; without one larger than the last the first motions are taken to be near the
+            best ones.
+    """
+
+    ways: Sequence[Way]
+    limits: Mapping[str, RealArray]
+    residual: float
+    clearance: float = 0.0
+    settled_within: float = 0.0
+    drives: Drives | None = None
+    loose: float = 0.0
+
+    def begun(self, motions: Iterable[DesignedMotion], share: float = 1.0, loose: float = 0.0) -> MotionProblem:
+        """The problem with other first motions, each in a share of its duration."""
+        starts = [each.with_duration(share * each.duration) for each in motions]
+        ways = [replace(way, start=start) for way, start in zip(self.ways, starts, strict=True)]
+        return replace(self, ways=ways, loose=loose)
+
+    def tightened(self, factors: Mapping[str, float]) -> MotionProblem:
+        """The problem with limits divided by factors, 1 where there is none; the clearance is larger by ``clearance`` [m]."""
+        return replace(
+            self,
+            limits={name: limit / factors.get(name, 1.0) for name, limit in self.limits.items()},
+            residual=self.residual / factors.get("residual", 1.0),
+            clearance=self.clearance + factors.get("clearance", 0.0),
+        )
+
+    def of_cases(self, chosen: NDArray[np.intp]) -> MotionProblem:
+        """The problem of some cases."""
+        ways = [replace(way, robots=[way.robots[k] for k in chosen]) for way in self.ways]
+        limits = {name: limit if name in RATES else limit[chosen] for name, limit in self.limits.items()}
+        return replace(self, ways=ways, limits=limits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -437,38 +442,45 @@ class _WayProgramme:
     """What a stage knows of one way: the response, the limits at each instant, the vibration after it, the columns of its variables.
 
     Args:
+        problem: the limits.
         way: the way.
+        start: its first motion.
         parts: steps of the integration for each interval of the spline.
         first: its first column.
-        unit: duration of a first motion [s].
         aim: what is minimised.
     """
 
-    def __init__(self, way: Way, parts: int, first: int, unit: float, aim: Aim) -> None:
-        start, self.limits, self.cases = way.start, way.limits, way.cases
+    def __init__(
+        self, problem: MotionProblem, way: Way, start: DesignedMotion, parts: int, first: int, aim: Aim
+    ) -> None:
+        self._problem, self._way, (self.robots, self.cases) = problem, way, fleet_of(way.robots)
         before, after = start.evaluate([0.0, 1.0], 0)[0]
-        self._links = tuple(name for name in LINK_LOADS if name in way.limits.loads)
-        self.elastic = ElasticResponse(way.robots, before, parts * start.intervals, self._links, COMPARED, SHARED)
+        self._links = tuple(name for name in LINK_LOADS if name in problem.limits)
+        self.elastic = ElasticResponse(self.robots, before, parts * start.intervals, self._links, COMPARED, SHARED)
         self.starts = [model.rest(before) for model in self.elastic.models]
-        self.vibration = ResidualVibration(self.elastic.models, after, way.limits.settled_within)
-        self._largest = [np.broadcast_to(getattr(way.limits, name), 2) for name in RATES]
-        # of each load at all instants; link loads have one limit each for all their places
-        self._units = {name: each.reshape(len(each), 1, -1) for name, each in way.limits.loads.items()}
-        self.scale, self.metric = start.measures(unit)
+        self.vibration = ResidualVibration(self.elastic.models, after, problem.settled_within)
+        self._largest = [problem.limits[name] for name in RATES]
+        # of each load at all instants, the least of a robot's cases; link loads have one limit each for all their places
+        self.units = {
+            name: np.array([[limit[self.cases == k].min(axis=0).ravel()] for k in range(len(self.robots))])
+            for name, limit in problem.limits.items()
+            if name not in (*RATES, *OF_CYCLE)
+        }
+        self.scale, self.metric = start.measures(way.start.duration)
         self.columns = slice(first, first + len(self.scale))
         self.effort = _effort(aim, self.state(start, derivatives=False).loads) if aim in EFFORTS else None
 
     def state(self, motion: DesignedMotion, *, derivatives: bool) -> WayState:
         """Evaluate a motion."""
-        response, limits = self.elastic.of_motion(motion, derivatives=derivatives), self.limits
-        loads = Loads(response, self.vibration.holding, limits.pause, limits.drives, self._links)
+        response, problem = self.elastic.of_motion(motion, derivatives=derivatives), self._problem
+        loads = Loads(response, self.vibration.holding, self._way.pause, problem.drives, self._links)
         rates = zip(RATES, motion.rates(self.elastic.fractions), self._largest, strict=True)
-        distance, gradient = limits.distances(response.position)
+        distance, gradient = self._way.distances(response.position)
         parts = [
             *((name, np.abs(each) / largest - 1.0) for name, each, largest in rates),
             ("speed", motion.conditions()[0]),
-            *((name, np.abs(loads.values(name)) / unit - 1.0) for name, unit in self._units.items()),
-            ("clearance", (limits.clearance - distance) / DEPTH),
+            *((name, np.abs(loads.values(name)) / unit - 1.0) for name, unit in self.units.items()),
+            ("clearance", (problem.clearance - distance) / DEPTH),
         ]
         return WayState(self, motion, loads, parts, gradient)
 
@@ -479,7 +491,7 @@ class _WayProgramme:
         for each, by, largest in zip(motion.rates(fractions), motion.rates_by(fractions), self._largest, strict=True):
             found.append(np.sign(each)[..., np.newaxis] * by / largest[:, np.newaxis])
         found = [each[some] for each, some in zip([*found, motion.conditions()[1]], deciding, strict=False)]
-        for (name, unit), some in zip(self._units.items(), deciding[4:], strict=False):
+        for (name, unit), some in zip(self.units.items(), deciding[4:], strict=False):
             found.append((np.sign(loads.values(name)) / unit)[some][:, np.newaxis] * loads.rows(name, some))
         some = deciding[-1]
         _, variant, instant = np.nonzero(some)
@@ -498,8 +510,8 @@ class _WayProgramme:
         if self.effort is not None:
             found += loads.integral_curvature(*self.effort, np.ones((len(loads.response.torque), 1)))
         for (name, _), price in zip(state.parts, prices, strict=True):
-            if name in self._units:
-                found += loads.curvature(name, np.sign(loads.values(name)) * price / self._units[name])
+            if name in self.units:
+                found += loads.curvature(name, np.sign(loads.values(name)) * price / self.units[name])
         for name, price in of_cycle.items():
             found += loads.integral_curvature(*OF_CYCLE[name], price)
         values, vectors = np.linalg.eigh(found)
@@ -507,25 +519,24 @@ class _WayProgramme:
 
 
 class Stage:
-    """The limits of some cases, and their programmes.
+    """The programmes of a problem from some motions on.
 
     Args:
-        ways: the ways with the robots of these cases.
-        loads: limits of loads of the cycle for these cases, by name.
+        problem: limits and cases; the durations of its first motions cost 1 in all.
+        start: the motions; their effort costs 1.
         parts: steps of the integration for each interval of the splines.
-        units: durations [s] that cost 1 in all; the effort of the first motions costs 1.
         aim: what is minimised.
     """
 
-    def __init__(
-        self, ways: Sequence[Way], loads: Mapping[str, RealArray], parts: int, units: Sequence[float], aim: Aim = "time"
-    ) -> None:
-        self.ways = list[_WayProgramme]()
-        for way, unit in zip(ways, units, strict=True):
+    def __init__(self, problem: MotionProblem, start: Motions, parts: int, aim: Aim = "time") -> None:
+        self.problem, self._start, self.ways = problem, start, list[_WayProgramme]()
+        for way, motion in zip(problem.ways, start, strict=True):
             first = self.ways[-1].columns.stop if self.ways else 0
-            self.ways.append(_WayProgramme(way, parts, first, unit, aim))
-        self._limits = {name: each.reshape(len(each), -1) for name, each in loads.items()}
-        self.unit, self.residual = sum(units), ways[0].limits.residual
+            self.ways.append(_WayProgramme(problem, way, motion, parts, first, aim))
+        self._limits = {
+            name: limit.reshape(len(limit), -1) for name, limit in problem.limits.items() if name in OF_CYCLE
+        }
+        self.unit = sum(way.start.duration for way in problem.ways)
         self.price, self.penalty = PRICES[0], PENALTY[0]
         # of all rows: none at first
         self._prices = np.zeros(1)
@@ -537,7 +548,7 @@ class Stage:
         # which modes are whose (W, k)
         self._modes = block_diag(*(np.ones(way.vibration.matrices.shape[2]) for way in self.ways))
         starts, ends = [way.starts for way in self.ways], [way.vibration.rests for way in self.ways]
-        self._left = LeftVibration(starts, ends, [way.limits.pause for way in ways], [way.cases for way in self.ways])
+        self._left = LeftVibration(starts, ends, [way.pause for way in problem.ways], [way.cases for way in self.ways])
 
     def state(self, motions: Motions, *, derivatives: bool = True, renewed: bool = False) -> State:
         """Evaluate motions; with derivatives, or if it is wanted, with new transfers of vibration from way to way."""
@@ -553,7 +564,9 @@ class Stage:
         if efforts := [each.loads.integral(*each.way.effort) for each in ways if each.way.effort]:
             cost = float(np.mean([each.sum() for each in efforts]))
         amplitudes = self._amplitudes([each[..., np.newaxis] for each in self._ends(ways)])[..., 0]
-        return State(ways, loads, amplitudes, np.linalg.norm(amplitudes, axis=1) @ self._modes.T, self.residual, cost)
+        return State(
+            ways, loads, amplitudes, np.linalg.norm(amplitudes, axis=1) @ self._modes.T, self.problem.residual, cost
+        )
 
     def _ends(self, ways: Sequence[WayState]) -> list[RealArray]:
         """States at the end of each way relative to rest (C, 2, n)."""
@@ -580,8 +593,8 @@ class Stage:
         if name not in ROOTS:
             return whole / limit, 1.0 / limit, np.zeros_like(whole)
         # a root of a mean square
-        time = sum(each.motion.duration + each.way.limits.pause for each in ways)
-        weight, slope = weight_of_squares(name, time, self.ways[0].limits.drives)
+        time = sum(each.motion.duration for each in ways) + sum(way.pause for way in self.problem.ways)
+        weight, slope = weight_of_squares(name, time, self.problem.drives)
         root = np.sqrt(whole * weight)
         by = 0.5 / (np.maximum(root, TINY) * limit)
         return root / limit, weight * by, whole * slope * by
@@ -648,7 +661,7 @@ class Stage:
         The multipliers of the rows are kept: they weigh the curvature of the next programme.
         """
         m, slacks, (cases, _, modes) = len(self._scale), np.eye(len(GROUPS)), linear.amplitudes.shape
-        near, scale = np.flatnonzero(linear.values > -NEAR[linear.groups]), RESIDUAL_SCALE / self.residual
+        near, scale = np.flatnonzero(linear.values > -NEAR[linear.groups]), RESIDUAL_SCALE / self.problem.residual
         # half planes of each mode's amplitude, and the sums of amplitudes of each way
         normals, bounded = np.stack([np.cos(DIRECTIONS), np.sin(DIRECTIONS)]), np.eye(cases * modes)
         planes = scale * np.einsum("id,pikm->dpkm", normals, linear.amplitudes_by).reshape(-1, m)
@@ -680,15 +693,14 @@ class Stage:
         predicted = float(cost @ x) + 0.5 * float(x[:m] @ linear.curvature @ x[:m])
         return x[:m], predicted, float(x[m : m + len(slacks)].sum())
 
-    def improvements(self, start: Motions, iterations: int, penalty: float = PENALTY[0]) -> Iterator[State]:
+    def improvements(self, iterations: int, penalty: float = PENALTY[0]) -> Iterator[State]:
         """Better and better motions, from the start on.
 
         Args:
-            start: the first motions.
             iterations: largest number of programmes.
             penalty: first penalty on changes of the accelerations.
         """
-        state = self.state(start)
+        state = self.state(self._start)
         linear = self.linear(state)
         yield state
         for _ in range(iterations):
@@ -780,23 +792,14 @@ class Improvement:
 
 
 def optimal_motion(
-    ways: Sequence[Way],
-    loads: Mapping[str, RealArray] | None = None,
-    nodes: Sequence[int] | None = None,
-    *,
-    iterations: int = 40,
-    loose: float = LOOSE,
-    aim: Aim = "time",
+    problem: MotionProblem, nodes: Sequence[int] | None = None, *, iterations: int = 40, aim: Aim = "time"
 ) -> Iterator[Improvement]:
     """Joint references that are better and better within limits that hold for all robots.
 
     Args:
-        ways: the motion, or the ways of a cycle, each of which starts where the one before ends.
-        loads: limits of ``rms_torque`` (C, 2) [N m] and ``energy`` (C,) [J] of all ways with the pauses after them, for each case.
+        problem: the limits, and the first motions.
         nodes: indices of the cases that the programmes have; None for `NODES` that are denser near both ends.
         iterations: largest number of programmes in each stage.
-        loose: bound of the residual vibration [m] in the first stages; the last bound is the least. Without a larger one the first
-            motions are taken to be near the best ones.
         aim: what is minimised; all but time in the durations of the first motions.
 
     Yields:
@@ -805,18 +808,9 @@ def optimal_motion(
     Raises:
         EquilibriumError: the first motions have no elastic motion.
     """
-    count, limit, loads = len(ways[0].cases), ways[0].limits.residual, loads or {}
+    ways, limit, loose = problem.ways, problem.residual, max(problem.residual, problem.loose)
+    count, motions, parts = len(ways[0].robots), tuple(way.start for way in ways), max(map(_parts, ways))
     chosen = np.array(spread(count, NODES) if nodes is None else nodes)
-    motions, loose, parts = tuple(way.start for way in ways), max(limit, loose), max(map(_parts, ways))
-
-    def stage_of(chosen: NDArray[np.intp], residual: float, excess: Mapping[str, float], parts: int) -> Stage:
-        some = [
-            replace(way, start=motion, limits=replace(way.limits, residual=residual).tightened(excess)).of_cases(chosen)
-            for way, motion in zip(ways, motions, strict=True)
-        ]
-        tight = {name: each[chosen] / excess.get(name, 1.0) for name, each in loads.items()}
-        return Stage(some, tight, parts, [way.start.duration for way in ways], aim)
-
     # few variants, then all nodes, with a bound that falls
     levels = max(1, round(math.log(loose / limit, FALL)))
     bounds = np.geomspace(loose, limit, levels + 1)[:-1].tolist()
@@ -825,14 +819,14 @@ def optimal_motion(
         # the first motion is near the best one
         stages = []
     penalty = PENALTY[0]
-    for few, residual in stages:
-        stage = stage_of(few, residual, {}, parts)
-        for better in map(_improvement, stage.improvements(motions, iterations, penalty)):
+    for few, bound in stages:
+        stage = Stage(problem.tightened({"residual": limit / bound}).of_cases(few), motions, parts, aim)
+        for better in map(_improvement, stage.improvements(iterations, penalty)):
             motions = better.motions
             yield better
         penalty = max(PENALTY[0], min(4.0 * stage.penalty, 10.0))
     # all variants on the fine grid
-    fine, excess = stage_of(np.arange(count), limit, {}, FINER * parts), dict[str, float]()
+    fine, excess = Stage(problem, motions, FINER * parts, aim), dict[str, float]()
     exact = fine.scaled(fine.state(motions, derivatives=False, renewed=True))
     for _ in range(ROUNDS):
         # the worst variants join the nodes
@@ -840,14 +834,14 @@ def optimal_motion(
         around = np.pad(residuals, 1)
         is_worst = (residuals >= np.maximum(around[:-2], around[2:])) & (residuals > JOINING * limit)
         chosen = np.unique([*chosen, *np.flatnonzero(is_worst)])
-        stage = stage_of(chosen, limit, excess, parts)
+        stage = Stage(problem.tightened(excess).of_cases(chosen), motions, parts, aim)
         coarse = stage.state(motions, derivatives=False, renewed=True)
-        for way, each, fine_way, there, here in zip(ways, stage.ways, fine.ways, exact.ways, coarse.ways, strict=True):
-            robots = np.unique(way.cases[chosen])
-            each.vibration.error = there.loads.response.end[robots] - here.loads.response.end
-            each.vibration.matrices = fine_way.vibration.matrices[robots]
+        for there, here in zip(exact.ways, coarse.ways, strict=True):
+            robots = [there.way.robots.index(each) for each in here.way.robots]
+            here.way.vibration.error = there.loads.response.end[robots] - here.loads.response.end
+            here.way.vibration.matrices = there.way.vibration.matrices[robots]
         before = motions
-        for better in map(_improvement, stage.improvements(motions, iterations, penalty)):
+        for better in map(_improvement, stage.improvements(iterations, penalty)):
             motions = better.motions
             yield better
         exact = fine.scaled(fine.state(motions, derivatives=False, renewed=True))
@@ -867,8 +861,8 @@ def optimal_motion(
                 excess[name] = excess.get(name, 1.0) * factor
         # with the worst case of each load
         sizes = [(name, share) for name, (share, *_) in exact.loads.items()]
-        for way, there in zip(ways, exact.ways, strict=True):
-            sizes += [(name, each[way.cases]) for name, each in there.parts if name in way.limits.loads]
+        for way in exact.ways:
+            sizes += [(name, each[way.way.cases]) for name, each in way.parts if name in way.way.units]
         worst = [int(np.unravel_index(each.argmax(), each.shape)[0]) for name, each in sizes if name in missed]
         chosen = np.unique([*chosen, *worst])
 

@@ -9,7 +9,7 @@ over the bands, near the path.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import product
@@ -36,6 +36,7 @@ from flexfmu.model.reference_design.elastic_response import (
 from flexfmu.model.reference_design.inverse_dynamics import LEAD, flexible_references
 from flexfmu.model.reference_design.joint_spline import REST, DesignedMotion, JointSpline, fitted
 from flexfmu.model.reference_design.loads import OF_CYCLE, ROOTS, Loads, weight_of_squares
+from flexfmu.model.reference_design.optimal_control import MotionProblem, Way, fleet_of
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.motion import TableSection
 from flexfmu.model.scene.schema import Scene
@@ -135,7 +136,7 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
             limited(goals, found[0], few),
             all(each.candidate.method != "optimal control" for each in found),
         )
-        vibrating = {"residual": min(1.0, problem.ways[0].limits.residual / optimal_control.LOOSE)}
+        vibrating = {"residual": min(1.0, problem.residual / optimal_control.LOOSE)}
         for share in _shares(goals, found[0]) if is_first else ():
             begun = problem.tightened(vibrating).begun([_spline(each, WIDE) for each in given], share)
             tried = improver.best(("optimal", share, "few"), begun)
@@ -156,34 +157,6 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
     yield from from_start_to_start()
     if goals.wishes.front:
         yield from _front(goals, found[0], motions, improver)
-
-
-@dataclass(frozen=True, eq=False)
-class MotionProblem:
-    """Limits for all robots, and first motions from which those that keep them are found.
-
-    Attributes:
-        ways: limits, robots and first motion of each way.
-        loads: limits of loads of the cycle, for each case.
-        loose: first bound of the residual vibration [m]; 0 where the first motions are near the best ones.
-    """
-
-    ways: Sequence[optimal_control.Way]
-    loads: Mapping[str, RealArray]
-    loose: float = 0.0
-
-    def begun(self, motions: Iterable[DesignedMotion], share: float = 1.0, loose: float = 0.0) -> MotionProblem:
-        """The problem with other first motions, each in a share of its duration."""
-        starts = [each.with_duration(share * each.duration) for each in motions]
-        ways = [replace(way, start=start) for way, start in zip(self.ways, starts, strict=True)]
-        return MotionProblem(ways, self.loads, loose)
-
-    def tightened(self, factors: Mapping[str, float]) -> MotionProblem:
-        """The problem with limits that are divided by factors, see `optimal_control.MotionLimits.tightened`."""
-        ways = [replace(way, limits=way.limits.tightened(factors)) for way in self.ways]
-        return replace(
-            self, ways=ways, loads={name: each / factors.get(name, 1.0) for name, each in self.loads.items()}
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,14 +191,14 @@ class Improver(Generic[Motion]):
         Raises:
             KeyboardInterrupt: after Ctrl-C, or of ``show``, with the candidate that there is so far, if there is one.
         """
-        ways, cases = problem.ways, range(len(problem.ways[0].cases))
+        cases = range(len(problem.ways[0].robots))
 
         def found() -> Optimum:
             last: Any = None
             # few cases have no others between them
-            some, loose = self.nodes if max(self.nodes) in cases else cases, problem.loose
+            some = self.nodes if max(self.nodes) in cases else cases
             try:
-                for last in optimal_control.optimal_motion(ways, problem.loads, some, loose=loose, aim=self.aim):
+                for last in optimal_control.optimal_motion(problem, some, aim=self.aim):
                     time = self.judge.goals.rest + sum(each.duration for each in last.motions)
                     self.show(f"{key[0]} over the bands: {time:.4g} s", None)
             except EquilibriumError:
@@ -242,7 +215,7 @@ class Improver(Generic[Motion]):
         kept = self.judge.journal.kept(key, Optimum, found)
         if kept is None:
             return None
-        pairs: Any = zip((way.start for way in ways), kept[0], strict=True)
+        pairs: Any = zip((way.start for way in problem.ways), kept[0], strict=True)
         return [start.moved(np.array(each) - start.variables) for start, each in pairs], kept[1] < self.near
 
     def refined(self, key: tuple[Any, ...], problem: MotionProblem, *, gives_back: bool = True) -> Refined[Motion]:
@@ -423,52 +396,42 @@ def limited(goals: Goals, given: Assessment, of_ways: Sequence[Robots]) -> Motio
     """The problem from the first motions on with the goals' limits in numbers, for each robot relative to what the given motion or cycle needs
     in the same model."""
     share, clear, quiet = RESERVE
-    speed, acceleration, jerk = (goals.limit(name, np.full(2, given.worst(name))) for name in RATES)
-    drives = goals.drives
+    limits, drives = {name: goals.limit(name, np.full(2, given.worst(name))) for name in RATES}, goals.drives
     if drives is not None and "motor_speed" in goals.limits:
         largest = np.array([each.maximum_speed / each.gear_ratio for each in drives.motors])
-        speed = np.minimum(speed, largest * goals.limit("motor_speed", given.values["motor_speed"].max(axis=0)))
+        largest *= goals.limit("motor_speed", given.values["motor_speed"].max(axis=0))
+        limits["speed"] = np.minimum(limits["speed"], largest)
     names = ["torque", *(name for name in LOADS if name in goals.limits)]
-    fleets = [[*dict.fromkeys(robots)] for robots in of_ways]
-    every = [np.array([fleet.index(each) for each in robots]) for fleet, robots in zip(fleets, of_ways, strict=True)]
-    needs = [_given_loads(of_way, fleet, names) for of_way, fleet in zip(goals.ways, fleets, strict=True)]
-    # the largest of all ways, or their sum
-    usual, time = dict[str, RealArray](), sum(each.given.once.duration + each.pause for each in goals.ways)
+    needs = [_given_needs(*each, names) for each in zip(goals.ways, of_ways, strict=True)]
+    time = sum(each.given.once.duration + each.pause for each in goals.ways)
     for name in names:
-        rows = [loads.need(name, 3 * GIVEN_STEPS)[cases] for loads, cases in zip(needs, every, strict=True)]
-        usual[name] = np.sum(rows, axis=0) if name in OF_CYCLE else np.max(rows, axis=0)
+        # the largest of all ways, or their sum
+        usual = (np.sum if name in OF_CYCLE else np.max)([each[name] for each in needs], axis=0)
         if name in ROOTS:
-            usual[name] = np.sqrt(usual[name] * weight_of_squares(name, time, drives)[0])
-    limits = {name: share * goals.limit(name, each) for name, each in usual.items()}
-    ways = []
-    for of_way, robots, cases in zip(goals.ways, fleets, every, strict=True):
-        loads = dict[str, RealArray]()
-        for name, limit in limits.items():
-            if name not in OF_CYCLE:
-                # a robot of several cases keeps the least limit
-                loads[name] = np.full((len(robots), *limit.shape[1:]), np.inf)
-                np.minimum.at(loads[name], cases, limit)
-        own = optimal_control.MotionLimits(
-            loads, speed, acceleration, jerk, quiet * goals.wishes.residual, of_way.clearance.of_ways, of_way.pause,
-            goals.wishes.settled_within, drives, -clear * goals.wishes.margin,
-        )  # fmt: skip
-        ways.append(optimal_control.Way(robots, own, _spline(of_way.first_motion), cases))
-    return MotionProblem(ways, {name: limit for name, limit in limits.items() if name in OF_CYCLE})
+            usual = np.sqrt(usual * weight_of_squares(name, time, drives)[0])
+        limits[name] = share * goals.limit(name, usual)
+    ways = [
+        Way(robots, _spline(each.first_motion), each.clearance.of_ways, each.pause)
+        for each, robots in zip(goals.ways, of_ways, strict=True)
+    ]
+    residual, clearance = quiet * goals.wishes.residual, -clear * goals.wishes.margin
+    return MotionProblem(ways, limits, residual, clearance, goals.wishes.settled_within, drives)
 
 
-def _given_loads(goals: Goals, robots: Sequence[RobotVariant], names: Sequence[str]) -> Loads:
-    """The loads of the given motion."""
-    joints = goals.given.once.joints
+def _given_needs(goals: Goals, robots: Robots, names: Sequence[str]) -> dict[str, RealArray]:
+    """What the given motion needs of loads, by name, in each case."""
+    joints, (fleet, cases) = goals.given.once.joints, fleet_of(robots)
     first, last = joints.evaluate([0.0, joints.duration], 0, "right")[0]
     link_loads = tuple(name for name in LINK_LOADS if name in names)
     # torques of the pause are those of a robot that still swings, as in the FMU
     swinging = SHARED * int(GIVEN_STEPS / SHARED * min(goals.pause / joints.duration, SWINGING))
-    elastic = ElasticResponse(robots, first, GIVEN_STEPS + swinging, link_loads, COMPARED, SHARED)
+    elastic = ElasticResponse(fleet, first, GIVEN_STEPS + swinging, link_loads, COMPARED, SHARED)
     duration = joints.duration * (1.0 + swinging / GIVEN_STEPS)
     references = np.hstack(list(joints.evaluate(elastic.fractions * duration, 2, "left")))
     holding = joined([model.rest(last).torque for model in elastic.models])
     still = goals.pause + joints.duration - duration
-    return Loads(elastic.respond(references, duration), holding, still, goals.drives, link_loads)
+    loads = Loads(elastic.respond(references, duration), holding, still, goals.drives, link_loads)
+    return {name: loads.need(name, 3 * GIVEN_STEPS)[cases] for name in names}
 
 
 def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate]:
@@ -500,8 +463,8 @@ def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: Sh
     response = ElasticResponse(robots, motors.coefficients[0], motors.intervals, (), COMPARED, SHARED)
     places = response.of_motion(motors, derivatives=False).position
     width = max(NEAR_PATH * goals.wishes.margin, -GROWTH * float(_within(goals, 0.0, places)[0].min()))
-    way, quiet = problem.ways[0], QUIET * goals.wishes.residual
-    limits = replace(way.limits, distances=partial(_within, goals, width), clearance=0.0, residual=quiet)
+    ways = [replace(problem.ways[0], start=motors, distances=partial(_within, goals, width))]
+    problem = replace(problem, ways=ways, clearance=0.0, residual=QUIET * goals.wishes.residual)
     nodes = nodes_of(variations, optimal_control.NODES)
 
     def made(motions: Sequence[JointSpline], note: str = "") -> Candidate:
@@ -509,7 +472,7 @@ def flexible(judge: Judge, found: Sequence[Assessment], processes: int, show: Sh
         return Candidate(label, "flexible references", scene, motions[0].trajectory())
 
     improver = Improver(judge, made, nodes, "limits", show)
-    tried = improver.best(("flexible",), MotionProblem([replace(way, start=motors, limits=limits)], problem.loads))
+    tried = improver.best(("flexible",), problem)
     # without a correction the FMU judges whether they do
     yield made([motors], ", for the nominal payload") if tried is None else made(tried[0])
 

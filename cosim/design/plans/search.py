@@ -13,7 +13,7 @@ then costs a millisecond.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial, reduce
@@ -31,7 +31,7 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.showing import ShowProgress
 from flexfmu.cosim.many.executor import mapping
 from flexfmu.model.kinematics import RigidKinematics
-from flexfmu.model.reference_design.optimal_control import NODES, Aim, Stage, Way
+from flexfmu.model.reference_design.optimal_control import NODES, Aim, MotionProblem, Stage
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.motion import TrajectorySection
@@ -141,7 +141,6 @@ def search(judge: Judge, found: Sequence[Assessment], processes: int, show: Show
     goals, journal, going = judge.goals, judge.journal, families(judge.goals)
     variations, aim = goals.variations(PAYLOADS[0]), goals.wishes.minimise
     problem = limited(goals, found[0], [robots_of(goals.scene, variations)])
-    (way,), loads = problem.ways, problem.loads
     best, random = list[FamilyMotion](), np.random.default_rng(goals.wishes.seed)
 
     def kept(
@@ -150,7 +149,7 @@ def search(judge: Judge, found: Sequence[Assessment], processes: int, show: Show
         variables, cost = journal.kept(("search", *key), Found, compute) or (None, 0.0)
         return None if variables is None else (cost, motion.moved(np.array(variables) - motion.variables))
 
-    with mapping(partial(improved, way, loads, aim), processes) as work:
+    with mapping(partial(improved, problem, aim), processes) as work:
         for number, (payloads, parts, programmes) in enumerate(ROUNDS):
             cases, ranked = np.array(nodes_of(variations, payloads)), list[tuple[float, int, FamilyMotion]]()
             made = work(
@@ -187,31 +186,25 @@ def search(judge: Judge, found: Sequence[Assessment], processes: int, show: Show
             break
     if last and is_free:
         # a slower one with less vibration
-        quiet = replace(way, limits=way.limits.tightened({"residual": 1.0 / QUIET}))
+        quiet = problem.tightened({"residual": 1.0 / QUIET})
         first = last[0][0].with_duration(SLOWER * last[0][0].duration)
-        if trial := kept(("quiet",), first, lambda: improved(quiet, loads, aim, (first, cases, parts, programmes))):
+        if trial := kept(("quiet",), first, lambda: improved(quiet, aim, (first, cases, parts, programmes))):
             yield candidate([trial[1]])
 
 
-def improved(
-    way: Way, loads: Mapping[str, RealArray], aim: Aim, task: tuple[FamilyMotion, NDArray[np.intp], int, int]
-) -> Found:
+def improved(problem: MotionProblem, aim: Aim, task: tuple[FamilyMotion, NDArray[np.intp], int, int]) -> Found:
     """A motion of a family after some programmes for some robots, with its cost; None if there is none.
 
     Args:
-        way: limits and robots.
-        loads: limits of RMS torque and energy.
+        problem: limits and robots.
         aim: what is minimised.
         task: the first motion, cases, steps of the integration in each part, and programmes.
     """
     motion, cases, parts, programmes = task
-    limits = way.limits if aim != "residual" else way.limits.tightened({"residual": 1.0 / NONE})
-    tight = {name: each[cases] for name, each in loads.items()}
+    problem = problem.tightened({"residual": 1.0 / NONE} if aim == "residual" else {}).of_cases(cases)
     for _ in range(STRETCHES):
         try:
-            some = replace(way, start=motion, limits=limits).of_cases(cases)
-            stage = Stage([some], tight, parts, [way.start.duration], aim)
-            *_, state = stage.improvements((motion,), programmes)
+            *_, state = Stage(problem, (motion,), parts, aim).improvements(programmes)
         except (TrajectoryError, EquilibriumError):
             if aim != "time":
                 return None

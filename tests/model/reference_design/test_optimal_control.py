@@ -16,10 +16,11 @@ from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
 from flexfmu.model.reference_design.loads import Drives, Loads
 from flexfmu.model.reference_design.optimal_control import (
     GROUPS,
+    LOOSE,
     Aim,
     Improvement,
     LeftVibration,
-    MotionLimits,
+    MotionProblem,
     ResidualVibration,
     Stage,
     Way,
@@ -75,21 +76,22 @@ MOTOR = Motor(
 )
 
 
-@pytest.fixture(scope="module")
-def limits(scene: Scene, variants: list[dict[str, float]], given: JointSpline) -> MotionLimits:
-    response = ElasticResponse([RobotVariant(scene, each) for each in variants], given.coefficients[0], 60).of_motion(
-        given, derivatives=False
-    )
-    return MotionLimits({"torque": abs(response.torque).max(axis=1)}, 20.0, 500.0, 4e4, 5e-6, above)
+def rates(*largest: float) -> dict[str, RealArray]:
+    """Limits of speed, acceleration and jerk of both joints."""
+    return {name: np.full(2, each) for name, each in zip(("speed", "acceleration", "jerk"), largest, strict=True)}
 
 
 @pytest.fixture(scope="module")
-def improvements(
-    scene: Scene, variants: list[dict[str, float]], given: JointSpline, limits: MotionLimits
-) -> list[Improvement]:
-    return list(
-        optimal_motion([Way([RobotVariant(scene, each) for each in variants], limits, given.with_duration(0.24))])
-    )
+def problem(scene: Scene, variants: list[dict[str, float]], given: JointSpline) -> MotionProblem:
+    robots = [RobotVariant(scene, each) for each in variants]
+    response = ElasticResponse(robots, given.coefficients[0], 60).of_motion(given, derivatives=False)
+    limits = {"torque": abs(response.torque).max(axis=1), **rates(20.0, 500.0, 4e4)}
+    return MotionProblem([Way(robots, given, above)], limits, 5e-6, loose=LOOSE)
+
+
+@pytest.fixture(scope="module")
+def improvements(problem: MotionProblem, given: JointSpline) -> list[Improvement]:
+    return list(optimal_motion(problem.begun([given.with_duration(0.24)], loose=LOOSE)))
 
 
 def test_quadratic_programmes_without_curvature_have_the_solution_of_linear_ones() -> None:
@@ -117,7 +119,7 @@ def test_derivatives_of_a_cycle_are_those_of_finite_differences(
     # differences are smaller than the errors of motions that are only compared
     monkeypatch.setattr(optimal_control, "COMPARED", 1e-13)
     empty, back = scene.replace({"payload.mass": 0.0}), replace(given, coefficients=given.coefficients[::-1])
-    robots = [[RobotVariant(scene, each) for each in variants[::2]], [RobotVariant(empty)]]
+    robots = [[RobotVariant(scene, each) for each in variants[::2]], [RobotVariant(empty)] * 2]
     motions, loads = (
         (given.with_duration(0.25), back.with_duration(0.2)),
         {
@@ -131,15 +133,13 @@ def test_derivatives_of_a_cycle_are_those_of_finite_differences(
         },
     )
     drives, pairs = Drives((MOTOR, replace(MOTOR, gear_ratio=20.0)), 0.01), ("torque", "power", "motor_torque")
-    ways = []
-    for few, motion, of_case in zip(robots, motions, ([0, 1], [0, 0]), strict=True):
-        shapes = {name: np.full((len(few), *((2,) if name in pairs else ())), value) for name, value in loads.items()}
-        own = MotionLimits(shapes, 20.0, 500.0, 4e4, 2e-6, above, 0.05, drives=drives)
-        ways.append(Way(few, own, motion, np.array(of_case)))
+    limits = {name: np.full((2, 2) if name in pairs else 2, value) for name, value in loads.items()}
+    ways = [Way(few, motion.with_duration(0.2), above, 0.05) for few, motion in zip(robots, motions, strict=True)]
     of_cycle = {
         "rms_torque": np.full((2, 2), 20.0), "energy": np.full(2, 40.0), "motor_rms_torque": np.full((2, 2), 0.8), "regenerated_energy": np.full(2, 5.0),
     }  # fmt: skip
-    stage = Stage(ways, of_cycle, 1, [0.2, 0.2])
+    limits |= of_cycle | rates(20.0, 500.0, 4e4)
+    stage = Stage(MotionProblem(ways, limits, 2e-6, drives=drives), motions, 1)
     state = stage.state(motions)
     linear = stage.linear(state)
     direction = 1e-6 * np.random.default_rng(0).standard_normal(linear.jacobian.shape[1])
@@ -210,17 +210,17 @@ def test_loads_of_shafts_joints_and_links_are_those_of_the_fmu(scene: Scene, giv
 
 @pytest.mark.slow
 def test_the_fastest_motion_meets_its_limits_for_all_payloads_in_the_fmu(
-    scene: Scene, improvements: list[Improvement], limits: MotionLimits
+    scene: Scene, improvements: list[Improvement], problem: MotionProblem
 ) -> None:
     best = improvements[-1]
     assert [each.checked for each in improvements] == [False] * (len(improvements) - 1) + [True]
     assert best.residual < improvements[0].residual
     assert best.motions[0].duration < 0.21
-    for mass, torque in zip(PAYLOADS, limits.loads["torque"], strict=True):
+    for mass, torque in zip(PAYLOADS, problem.limits["torque"], strict=True):
         run = flexfmu.run(
             scene, trajectory=best.motions[0].trajectory(), tolerance=1e-8, parameters={"payload.mass": float(mass)}
         )
-        assert float(run.metrics["residual_vibration_amplitude"]) < 1.06 * limits.residual
+        assert float(run.metrics["residual_vibration_amplitude"]) < 1.06 * problem.residual
         peaks = np.array([float(run.metrics[f"peak_torque_{joint}"]) for joint in (1, 2)])
         assert (peaks < 1.002 * torque).all()
         assert run.recording["end_effector.position.y"].values.min() > 0.27 - 2e-5
@@ -240,8 +240,8 @@ def test_limited_references_give_the_fastest_motion_from_rest_to_rest(
     rigid: Scene, given: JointSpline, speed: float, acceleration: float, jerk: float
 ) -> None:
     """T = 2 √(D / a), with a limited speed D / v + v / a, or (32 D / j)^(1/3); no spline is faster, one of 20 intervals is near."""
-    limits = MotionLimits({"torque": np.full((1, 2), WIDE)}, speed, acceleration, jerk, 1e-6, free)
-    *_, last = optimal_motion([Way([RobotVariant(rigid)], limits, given)])
+    limits = {"torque": np.full((1, 2), WIDE), **rates(speed, acceleration, jerk)}
+    *_, last = optimal_motion(MotionProblem([Way([RobotVariant(rigid)], given, free)], limits, 1e-6, loose=LOOSE))
     way = abs(np.diff(given.coefficients[[0, -1]], axis=0)).max()
     fastest = (32 * way / jerk) ** (1 / 3)
     if jerk == WIDE:
@@ -252,10 +252,12 @@ def test_limited_references_give_the_fastest_motion_from_rest_to_rest(
 
 def test_a_rigid_robot_has_a_fastest_cycle(rigid: Scene, given: JointSpline) -> None:
     """Nothing vibrates on from way to way; both ways are as fast as one alone."""
-    limits = MotionLimits({"torque": np.full((1, 2), WIDE)}, WIDE, 100.0, WIDE, 1e-6, free)
-    back = replace(given, coefficients=given.coefficients[::-1])
+    limits = {"torque": np.full((1, 2), WIDE), **rates(WIDE, 100.0, WIDE)}
+    robot, back = RobotVariant(rigid), replace(given, coefficients=given.coefficients[::-1])
     alone, both = (
-        [*optimal_motion([Way([RobotVariant(rigid)], limits, motion) for motion in motions])][-1]
+        [*optimal_motion(MotionProblem([Way([robot], motion, free) for motion in motions], limits, 1e-6, loose=LOOSE))][
+            -1
+        ]
         for motions in ([given], [given, back])
     )
     assert both.checked
@@ -268,9 +270,13 @@ def test_a_limit_that_time_hardly_moves_is_kept_from_the_first_motions_on(rigid:
     elastic = ElasticResponse([RobotVariant(rigid)], slow.coefficients[0], 60)
     response = elastic.of_motion(slow, derivatives=False)
     squares = Loads(response, elastic.models[0].rest(slow.coefficients[-1]).torque, pause).of_cycle("rms_torque")
-    limits = MotionLimits({"torque": np.full((1, 2), WIDE)}, WIDE, WIDE, WIDE, 1e-6, above, pause=pause)
-    way = Way([RobotVariant(rigid)], limits, slow.with_duration(0.65))
-    found = list(optimal_motion([way], {"rms_torque": np.sqrt(squares / (1.0 + pause))}))
+    limits = {
+        "torque": np.full((1, 2), WIDE),
+        "rms_torque": np.sqrt(squares / (1.0 + pause)),
+        **rates(WIDE, WIDE, WIDE),
+    }
+    way = Way([RobotVariant(rigid)], slow.with_duration(0.65), above, pause)
+    found = list(optimal_motion(MotionProblem([way], limits, 1e-6, loose=LOOSE)))
     assert found[-1].checked
     assert found[-1].motions[0].duration < 0.63
     # three first motions are too fast, and none is later
@@ -279,11 +285,10 @@ def test_a_limit_that_time_hardly_moves_is_kept_from_the_first_motions_on(rigid:
 
 @pytest.mark.parametrize("aim", ["torque", "rms_torque", "energy"])
 def test_the_effort_has_its_derivatives_and_falls_in_the_given_duration(
-    scene: Scene, variants: list[dict[str, float]], given: JointSpline, limits: MotionLimits, aim: Aim
+    problem: MotionProblem, given: JointSpline, aim: Aim
 ) -> None:
     """Its slope is that of finite differences; the best motion needs less than the given one, in the same time and within limits."""
-    way = Way([RobotVariant(scene, each) for each in variants], limits, given)
-    stage = Stage([way], {}, 2, [given.duration], aim)
+    stage = Stage(problem, (given,), 2, aim)
     direction = np.append(1e-4 * np.random.default_rng(0).standard_normal(2 * len(given.coefficients[4:-4])), 0.0)
     first = stage.state((given,))
     costs = [stage.state((given.moved(sign * direction),), derivatives=False).cost for sign in (1.0, -1.0)]
@@ -291,7 +296,7 @@ def test_the_effort_has_its_derivatives_and_falls_in_the_given_duration(
     assert first.cost == pytest.approx(1.0)
     assert linear.slope @ direction == pytest.approx(0.5 * (costs[0] - costs[1]), rel=1e-3)
     assert np.linalg.eigvalsh(linear.curvature).min() > -1e-9 * abs(linear.curvature).max()
-    *_, last = optimal_motion([way], aim=aim)
+    *_, last = optimal_motion(problem, aim=aim)
     assert last.checked
     assert last.motions[0].duration == given.duration
     assert stage.state(last.motions, derivatives=False).cost < 0.9

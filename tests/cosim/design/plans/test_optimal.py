@@ -32,7 +32,7 @@ from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.many.journal import FILE, WorkJournal, about_scene
 from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant
 from flexfmu.model.reference_design.joint_spline import JointSpline, fitted
-from flexfmu.model.reference_design.optimal_control import GROUPS, Improvement, ResidualVibration, Way, bounds
+from flexfmu.model.reference_design.optimal_control import GROUPS, Improvement, MotionProblem, ResidualVibration, bounds
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -152,13 +152,13 @@ def test_what_the_fmu_finds_beyond_a_limit_is_taken_off_it(
     goals = goals_of(SCENE.replace(wishes))
     robots = [RobotVariant(goals.scene, each.changes(goals.scene)) for each in goals.variations(3)]
 
-    def optimistic(ways: list[Way], *_: object, **__: object) -> Iterator[Improvement]:
-        start, limits = ways[0].start, ways[0].limits
-        forces = {name: each[:3] for name, each in limits.loads.items() if name == "reaction"}
+    def optimistic(problem: MotionProblem, *_: object, **__: object) -> Iterator[Improvement]:
+        start, limits = problem.ways[0].start, problem.limits
+        forces = {name: each[:3] for name, each in limits.items() if name == "reaction"}
         response = ElasticResponse(robots, start.coefficients[0], 60, loads=(*forces,))
         for duration in np.arange(0.3, 1.2, 0.03):
             found = response.of_motion(motion := start.with_duration(float(duration)), derivatives=False)
-            is_met = (np.abs(found.torque).max(axis=1) < 1.2 * limits.loads["torque"][:3]).all()
+            is_met = (np.abs(found.torque).max(axis=1) < 1.2 * limits["torque"][:3]).all()
             if is_met and all((found.loads.max(axis=(1, 2)) < 1.2 * each).all() for each in forces.values()):
                 yield Improvement((motion,), dict.fromkeys(GROUPS, 0.0), 0.0, checked=True)
                 return
@@ -215,7 +215,7 @@ def test_rms_torques_of_the_given_motion_have_its_swing_as_in_the_fmu(dwell: flo
     )
     (usual,) = Judge(goals).given.values["rms_torque"]
     robots = [RobotVariant(goals.scene, each.changes(goals.scene), CompiledAtPoints) for each in goals.variations(1)]
-    squares = method._given_loads(goals, robots, ["rms_torque"]).need("rms_torque")[0]
+    squares = method._given_needs(goals, robots, ["rms_torque"])["rms_torque"][0]
     found = np.sqrt(squares / (goals.given.once.duration + dwell))
     assert found == pytest.approx(usual, rel=3e-3)
 
@@ -224,8 +224,8 @@ def test_rms_torques_of_the_given_motion_have_its_swing_as_in_the_fmu(dwell: flo
 def test_attempts_that_miss_by_far_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """One from each start, judged with what it misses, the least of which is the result; where nothing can be planned it is said."""
 
-    def far_off(ways: list[Way], *_: object, **__: object) -> Iterator[Improvement]:
-        start = ways[0].start
+    def far_off(problem: MotionProblem, *_: object, **__: object) -> Iterator[Improvement]:
+        start = problem.ways[0].start
         assert isinstance(start, JointSpline)
         if start.duration < 0.25:
             raise EquilibriumError("too fast")

@@ -24,10 +24,9 @@ from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.timing import processor_time
 from flexfmu.cosim.many.executor import mapping
-from flexfmu.model.reference_design.optimal_control import GROUPS, Stage, Way
+from flexfmu.model.reference_design.optimal_control import GROUPS, MotionProblem, Stage
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.motion import TrajectorySection
-from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.profiles import PROFILES, evaluate_profile
 from flexfmu.trajectories.shapers.sequence import Oscillator
 
@@ -49,17 +48,14 @@ def first(goals: Goals) -> list[FamilyMotion]:
     return families(goals)
 
 
-def limited_way(goals: Goals, given: Assessment) -> tuple[Way, dict[str, RealArray]]:
-    """The limits for three payloads, with those of the cycle's loads."""
-    robots = robots_of(goals.scene, goals.variations(3))
-    problem = limited(goals, given, [robots], walls=True)
-    (way,), loads = problem.ways, problem.loads
-    return way, loads
+def limits_of(goals: Goals, given: Assessment) -> MotionProblem:
+    """The limits for three payloads."""
+    return limited(goals, given, [robots_of(goals.scene, goals.variations(3))])
 
 
 @pytest.fixture(scope="module")
-def way(goals: Goals, given: Assessment) -> tuple[Way, dict[str, RealArray]]:
-    return limited_way(goals, given)
+def problem(goals: Goals, given: Assessment) -> MotionProblem:
+    return limits_of(goals, given)
 
 
 def silent(text: str, fraction: float | None) -> None:
@@ -109,11 +105,11 @@ def test_a_motion_moves_forward_where_its_conditions_hold(first: list[FamilyMoti
 
 @pytest.mark.parametrize("number", [0, 2, 7])
 def test_derivatives_of_limits_are_those_of_longer_differences(
-    way: tuple[Way, dict[str, RealArray]], first: list[FamilyMotion], number: int
+    problem: MotionProblem, first: list[FamilyMotion], number: int
 ) -> None:
     """By numbers and by the duration: references, torques, clearance, and what vibrates at the end."""
     motion = first[number].with_duration(0.25)
-    stage = Stage([replace(way[0], start=motion)], way[1], 2, [0.3])
+    stage = Stage(problem, (motion,), 2)
     linear = stage.linear(stage.state((motion,)))
     direction = 1e-3 * np.random.default_rng(0).standard_normal(len(motion.numbers) + 1) * motion.measures(0.3)[0]
 
@@ -130,11 +126,11 @@ def test_derivatives_of_limits_are_those_of_longer_differences(
 
 
 @pytest.mark.slow
-def test_no_grid_finds_a_better_motion(way: tuple[Way, dict[str, RealArray]], first: list[FamilyMotion]) -> None:
-    found = improved(*way, "time", (first[2], np.arange(3), 2, 20))
+def test_no_grid_finds_a_better_motion(problem: MotionProblem, first: list[FamilyMotion]) -> None:
+    found = improved(problem, "time", (first[2], np.arange(3), 2, 20))
     assert found is not None
     motion = first[2].moved(np.array(found[0]) - first[2].variables)
-    stage = Stage([replace(way[0], start=motion)], way[1], 2, [0.3])
+    stage = Stage(problem, (motion,), 2)
     assert max(stage.state((motion,), derivatives=False).violations.values()) < 2e-3
     # width and height of the corners and the duration, with all other numbers those of the motion found
     for time in np.linspace(0.8, 0.99, 6):
@@ -182,9 +178,9 @@ def test_least_residual_at_a_given_time() -> None:
     wishes = {"plan.minimise": "residual", "plan.duration": 0.25, "plan.payload_band": 0.1}
     goals = goals_of(SCENE.replace(wishes))
     judge, first, residuals = Judge(goals, 3), families(goals)[2], list[float]()
-    way, loads = limited_way(goals, judge.given)
+    problem = limits_of(goals, judge.given)
     for programmes in (0, 8):
-        found = improved(way, loads, "residual", (first, np.arange(3), 2, programmes))
+        found = improved(problem, "residual", (first, np.arange(3), 2, programmes))
         assert found is not None
         motion = first.moved(np.array(found[0]) - first.variables)
         assert motion.duration == pytest.approx(0.25)
@@ -200,7 +196,7 @@ def test_paths_go_around_walls(goals: Goals, given: Assessment) -> None:
     first = families(walled)[0]
     assert walled.clearance.passage(first.points) == 0.0
     low = replace(first, numbers=np.array([first.heights[0], *first.numbers[1:]]))
-    distance = limited_way(walled, given)[0].limits.distances(low.points[np.newaxis])[0]
+    distance = limits_of(walled, given).ways[0].distances(low.points[np.newaxis])[0]
     assert distance.min() < -5e-3
 
 
