@@ -68,12 +68,13 @@ class DesignedMotion(Protocol):
         """Return derivatives (N, 6, m) of [q_a, v_a, a_a] at fractions of the duration by the variables."""
         ...
 
-    def rates(self, fractions: RealArray) -> list[RealArray]:
-        """Return values whose bounds bound speeds, accelerations and jerks, three of (n, 2), wherever these fractions lie."""
+    def rates(self, fractions: RealArray, references: RealArray) -> list[RealArray]:
+        """Return values whose bounds bound speeds, accelerations and jerks, three of (n, 2), wherever these fractions lie, where the motion has
+        these angles, speeds and accelerations (3, N, 2)."""
         ...
 
-    def rates_by(self, fractions: RealArray) -> list[RealArray]:
-        """Return their derivatives, three of (n, 2, m)."""
+    def rates_by(self, fractions: RealArray, references: RealArray, by: RealArray) -> list[RealArray]:
+        """Return their derivatives, three of (n, 2, m), by those of the references (N, 6, m)."""
         ...
 
     def conditions(self) -> tuple[RealArray, RealArray]:
@@ -163,14 +164,14 @@ class JointSpline:
             by[:, k, :, -1] = -k / self.duration * values
         return by.reshape(len(fractions), 6, -1)
 
-    def rates(self, fractions: RealArray) -> list[RealArray]:
+    def rates(self, fractions: RealArray, references: RealArray) -> list[RealArray]:
         """Return the coefficients of speeds, accelerations and jerks (n, 2); the first and last ones are zero."""
         return [self._derived(k) @ self.coefficients / self.duration**k for k in (1, 2, 3)]
 
-    def rates_by(self, fractions: RealArray) -> list[RealArray]:
+    def rates_by(self, fractions: RealArray, references: RealArray, by: RealArray) -> list[RealArray]:
         """Return their derivatives (n, 2, m)."""
         found = []
-        for k, each in enumerate(self.rates(fractions), 1):
+        for k, each in enumerate(self.rates(fractions, references), 1):
             by_free = self._derived(k)[:, REST:-REST] / self.duration**k
             own = np.stack([np.kron(unit, by_free) for unit in np.eye(2)], axis=1)
             found.append(np.concatenate([own, -k * each[..., np.newaxis] / self.duration], axis=2))

@@ -474,7 +474,7 @@ class _WayProgramme:
         """Evaluate a motion."""
         response, problem = self.elastic.of_motion(motion, derivatives=derivatives), self._problem
         loads = Loads(response, self.vibration.holding, self._way.pause, problem.drives, self._links)
-        rates = zip(RATES, motion.rates(self.elastic.fractions), self._largest, strict=True)
+        rates = zip(RATES, motion.rates(self.elastic.fractions, response.references), self._largest, strict=True)
         distance, gradient = self._way.distances(response.position)
         parts = [
             *((name, np.abs(each) / largest - 1.0) for name, each, largest in rates),
@@ -487,8 +487,9 @@ class _WayProgramme:
     def rows(self, state: WayState) -> list[RealArray]:
         """Derivatives (R, m) of the limits that can decide at each instant, by part."""
         motion, loads, deciding = state.motion, state.loads, [_deciding(*part) for part in state.parts]
-        fractions, found = self.elastic.fractions, list[RealArray]()
-        for each, by, largest in zip(motion.rates(fractions), motion.rates_by(fractions), self._largest, strict=True):
+        here, found = (self.elastic.fractions, loads.response.references), list[RealArray]()
+        rates_by = motion.rates_by(*here, loads.response.references_by)
+        for each, by, largest in zip(motion.rates(*here), rates_by, self._largest, strict=True):
             found.append(np.sign(each)[..., np.newaxis] * by / largest[:, np.newaxis])
         found = [each[some] for each, some in zip([*found, motion.conditions()[1]], deciding, strict=False)]
         for (name, unit), some in zip(self.units.items(), deciding[4:], strict=False):

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial, reduce
 from math import fsum, log
 from typing import Any
@@ -321,7 +321,6 @@ class FamilyMotion:
     numbers: RealArray
     duration: float
     intervals: int = INTERVALS
-    _known: dict[tuple[bytes, str], RealArray] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def path(self) -> PickAndPlacePath:
@@ -423,47 +422,41 @@ class FamilyMotion:
             TrajectoryError: the path or a shaper is not feasible, or the shapers take longer than the motion.
         """
         points = np.atleast_1d(np.asarray(fraction, dtype=float))
-        key = points.tobytes(), "values"
-        if key not in self._known:
-            table, duration, impulses = path_table(self.mechanism, self.path), self.unshaped_duration, self.sequence
-            # arc length and its derivatives, delayed by each impulse; time laws are at rest at both ends
-            eta = np.clip((points * self.duration - np.array(impulses.times)[:, None]) / duration, 0.0, 1.0)
-            law = np.polynomial.Polynomial(self.law)
-            fractions = np.stack([law.deriv(k)(eta.ravel()) if k else law(eta.ravel()) for k in range(3)])
-            s, speed, change = fractions * table.duration / duration ** np.arange(3)[:, None]
-            # joint angles by the chain rule, then the shapers' sum
-            angle, slope, bend = table.evaluate(np.clip(s, 0.0, table.duration), 2)
-            speed, change = speed[:, None], change[:, None]
-            joints = np.stack([angle, slope * speed, bend * speed**2 + slope * change]).reshape(3, -1, points.size, 2)
-            self._known[key] = np.asarray(np.einsum("j,kjni->kni", np.array(impulses.amplitudes), joints))
-        return self._known[key][: order + 1]
+        table, duration, impulses = path_table(self.mechanism, self.path), self.unshaped_duration, self.sequence
+        # arc length and its derivatives, delayed by each impulse; time laws are at rest at both ends
+        eta = np.clip((points * self.duration - np.array(impulses.times)[:, None]) / duration, 0.0, 1.0)
+        law = np.polynomial.Polynomial(self.law)
+        fractions = np.stack([law.deriv(k)(eta.ravel()) if k else law(eta.ravel()) for k in range(3)])
+        s, speed, change = fractions * table.duration / duration ** np.arange(3)[:, None]
+        # joint angles by the chain rule, then the shapers' sum
+        angle, slope, bend = table.evaluate(np.clip(s, 0.0, table.duration), 2)
+        speed, change = speed[:, None], change[:, None]
+        joints = np.stack([angle, slope * speed, bend * speed**2 + slope * change]).reshape(3, -1, points.size, 2)
+        return np.asarray(np.einsum("j,kjni->kni", np.array(impulses.amplitudes), joints))[: order + 1]
 
     def derivatives(self, fractions: RealArray) -> RealArray:
         """Return derivatives (N, 6, n + 1) of [q_a, v_a, a_a] by the variables; zero by those that can't change."""
-        key = fractions.tobytes(), "derivatives"
-        if key not in self._known:
-            here, found = self.evaluate(fractions), np.zeros((len(fractions), 6, len(self.variables)))
-            # towards the middle of the bounds
-            steps = DIFFERENCE * np.append(np.ptp(self.bounds, axis=0), self.duration)
-            steps[:-1] *= np.where(self.numbers > self.bounds.mean(axis=0), -1.0, 1.0)
-            for k, step in enumerate(steps.tolist()):
-                change = np.zeros(len(steps))
-                change[k] = step
-                with suppress(TrajectoryError):
-                    found[..., k] = np.hstack(list((self.moved(change).evaluate(fractions) - here) / step))
-            self._known[key] = found
-        return self._known[key]
+        here, found = self.evaluate(fractions), np.zeros((len(fractions), 6, len(self.variables)))
+        # towards the middle of the bounds
+        steps = DIFFERENCE * np.append(np.ptp(self.bounds, axis=0), self.duration)
+        steps[:-1] *= np.where(self.numbers > self.bounds.mean(axis=0), -1.0, 1.0)
+        for k, step in enumerate(steps.tolist()):
+            change = np.zeros(len(steps))
+            change[k] = step
+            with suppress(TrajectoryError):
+                found[..., k] = np.hstack(list((self.moved(change).evaluate(fractions) - here) / step))
+        return found
 
-    def rates(self, fractions: RealArray) -> list[RealArray]:
+    def rates(self, fractions: RealArray, references: RealArray) -> list[RealArray]:
         """Return speeds, accelerations and mean jerks between the fractions (n, 2)."""
-        _, speed, acceleration = self.evaluate(fractions)
+        _, speed, acceleration = references
         return [speed, acceleration, np.diff(acceleration, axis=0) / (self.duration * np.diff(fractions)[:, None])]
 
-    def rates_by(self, fractions: RealArray) -> list[RealArray]:
+    def rates_by(self, fractions: RealArray, references: RealArray, by: RealArray) -> list[RealArray]:
         """Return their derivatives (n, 2, n + 1)."""
-        _, speed, acceleration = self.derivatives(fractions).reshape(len(fractions), 3, 2, -1).swapaxes(0, 1)
+        _, speed, acceleration = by.reshape(len(fractions), 3, 2, -1).swapaxes(0, 1)
         jerk = np.diff(acceleration, axis=0) / (self.duration * np.diff(fractions)[:, None, None])
-        jerk[..., -1] -= self.rates(fractions)[2] / self.duration
+        jerk[..., -1] -= self.rates(fractions, references)[2] / self.duration
         return [speed, acceleration, jerk]
 
     def conditions(self) -> tuple[RealArray, RealArray]:
