@@ -208,12 +208,19 @@ def simulating(
 
 
 def side_by_side(page: Page, runs: Sequence[ComparedRun]) -> Page:
-    """The page of several runs, which it simulates; results without a run and what failed stay as recorded."""
-    found = list[tuple[str, LiveRun]]()
+    """The page of several runs, of which it simulates those that it has room for; results without a run and what failed stay as recorded."""
+    found, live = list[tuple[str, LiveRun]](), Live()
+    room = LARGEST - len(replace(page, live=Live("-")).html.encode())
     for each in runs:
         reason = f"it failed: {each.failure}" if each.failure else "only its results are known"
-        found.append((each.name, LiveRun(reason=reason) if each.run is None else live_run(each.run, is_exact=False)))
-    return replace(page, live=simulating(found, range(len(found))))
+        one = LiveRun(reason=reason) if each.run is None else live_run(each.run, is_exact=False)
+        # reasons need room, too
+        for option in (one, LiveRun(reason="the page would be larger than 1 MB")):
+            live = simulating([*found, (each.name, option)], range(len(found) + 1))
+            if len(live.packed) + sum(map(len, live.reasons)) < room:
+                break
+        found.append((each.name, option))
+    return replace(page, live=live)
 
 
 def swept_page(

@@ -35,12 +35,16 @@ const page = (() => {
 
   // a curve's line, but for points within parts of a pixel; uPlot's own has steps of whole pixels where points are dense
   const paths = (u, number, first, last) => {
-    const stroke = new Path2D(), [x, y] = u.data[number];
-    for (let i = first, before = null; i <= last; i++) {
-      const here = y[i] === null ? null : [u.valToPos(x[i], "x", true), u.valToPos(y[i], "y", true)];
-      if (here && before && Math.hypot(here[0] - before[0], here[1] - before[1]) < 0.3) continue;
-      if (here) stroke[before ? "lineTo" : "moveTo"](...here);
-      before = here;
+    const stroke = new Path2D(), [xs, ys] = u.data[number];
+    const [atX, atY] = ["x", "y"].map((axis) => {
+      const { min, max, distr } = u.scales[axis], of = distr === 3 ? Math.log : (v) => v, low = u.valToPos(min, axis, true), slope = (u.valToPos(max, axis, true) - low) / (of(max) - of(min));
+      return (v) => low + slope * (of(v) - of(min));
+    });
+    for (let i = first, x = NaN, y = NaN; i <= last; i++) {
+      const isThere = ys[i] !== null, nextX = isThere ? atX(xs[i]) : NaN, nextY = isThere ? atY(ys[i]) : NaN;
+      if (Math.abs(nextX - x) + Math.abs(nextY - y) < 0.4) continue;
+      if (isThere) { if (isNaN(x)) stroke.moveTo(nextX, nextY); else stroke.lineTo(nextX, nextY); }
+      x = nextX; y = nextY;
     }
     return { stroke, flags: 1 };
   };

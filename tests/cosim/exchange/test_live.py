@@ -407,6 +407,19 @@ def test_a_page_is_not_larger_than_its_limit(browser: Any, tmp_path: Path, monke
     page.context.close()
 
 
+def test_runs_beyond_the_room_of_a_page_stay_as_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Side by side there are those that the page has room for; it says which it doesn't simulate."""
+    scene = load_scene("barnard2012-6kg")
+    found = flexfmu.compare(scene, scene.replace({"name": "soft", "effects.proximal_bending": 2}))
+    whole = found.page(live=True)
+    assert "can't simulate" not in whole.partition("<script>")[0]
+    limit = len(whole) - 10_000
+    monkeypatch.setattr("flexfmu.cosim.exchange.live.LARGEST", limit)
+    text = found.page(live=True)
+    assert len(text.encode()) <= limit
+    assert "This page can't simulate soft: the page would be larger than 1 MB." in text
+
+
 def opened(browser: Any, path: Path, scheme: str = "light") -> tuple[Any, list[str]]:
     """A page that is ready, and what it tells on the console, where axe finds nothing at either width."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe
