@@ -246,7 +246,7 @@ const page = (() => {
       const labels = [...new Set(this.panels.flatMap((panel) => panel.curves.map((c) => c.label)))].filter(Boolean);
       for (const label of labels) {
         const curves = this.panels.flatMap((panel) => panel.curves.filter((c) => c.label === label)), key = html("button", { className: "key", type: "button" }, this.legend);
-        const sign = html("i", {}, key);
+        const sign = html("i", { className: curves[0].dot }, key);
         sign.style.background = curves[0].dashes.length ? `repeating-linear-gradient(90deg, ${curves[0].colour} 0 5px, transparent 5px 8px)` : curves[0].colour;
         html("span", {}, key, label);
         this.keys.push({ curves, value: html("output", {}, key) });

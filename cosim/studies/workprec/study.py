@@ -333,17 +333,16 @@ def sentence(study: WorkPrecisionStudy) -> str:
     # settings that a user of the FMU may choose from
     ours = [each for each in study.trials if each.family in CHOICES]
     first, second = (cheapest(ours, error) for error in ASKED)
-    if first is None or first.time is None:
+    if first is None or first.time is None or second is None:
         return f"No setting reached {ASKED[0]:.0e}."
-    text = (
-        f"{ASKED[0]:.0e} costs {1e3 * first.time:.1f} ms ({study.duration / first.time:.0f} x real time) with {first.line}, "
-        f"{first.label}"
-    )
-    if second is None or second.time is None:
-        return f"{text}."
-    same = second is first
-    cost = "the same" if same else f"{second.line}, {second.label}: {1e3 * second.time:.1f} ms"
-    return f"{text}; the cheapest setting for {ASKED[1]:.0e} is {cost}."
+    text = f"An error of {ASKED[0]:.0e} costs {_cost(first)}, {study.duration / first.time:.0f} times faster than real time"
+    return f"{text}; one of {ASKED[1]:.0e} costs {'no less' if second is first else _cost(second)}."
+
+
+def _cost(trial: WorkPrecisionTrial) -> str:
+    """Time and setting of a trial, of which the label has the tolerance or the step."""
+    kind = "steps of" if trial.label.endswith("s") else "a tolerance of"
+    return f"{1e3 * (trial.time or 0.0):.1f} ms with {trial.line} at {kind} {trial.label}"
 
 
 def advantages(study: WorkPrecisionStudy) -> dict[str, tuple[float, float]]:
