@@ -15,7 +15,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 SHARED = """
-    scene (SCENE): A scene file (TOML), or the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg.
+    scene (SCENE): A scene file (TOML), or the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg, starter.
     naming (CONVENTION): structured (link11.bending[1]) or flat (link11_bending_1), for tools that need it.
     fmi (VERSION): Version of the standard: 2 for FMI 2.0, 3 for FMI 3.0.
     platform (NAME): linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. wasm32, by itself, gives a WebAssembly

@@ -48,7 +48,7 @@ def run(
     tolerance gives the errors of the metrics; --no-verify saves it. An SSP file, ours or not, gives results.csv and summary.json.
 
     Args:
-        scene (SCENE): A scene file (TOML), the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg; or an SSP file.
+        scene (SCENE): A scene file (TOML), the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg, starter; or an SSP file.
         out (DIR): Folder of the results. Default: results/<name of the scene>.
         step (SECONDS): Communication step. Default: what the scene or file says.
         stop_time (SECONDS): End of an SSP file's run. Default: what the file says, or the FMUs in it.

@@ -107,7 +107,7 @@ def _notices(summary: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
     if completed and (reason := instability(health)):
         yield "The loop is unstable.", f"{reason[:1].upper()}{reason[1:]}."
     if health["large_deflections"]:
-        sentences = " ".join(f"{each}." for each in health["large_deflections"])
+        sentences = " ".join(f"{each[:1].upper()}{each[1:]}." for each in health["large_deflections"])
         yield "Links deflect more than linear beam theory allows.", sentences
 
 
@@ -136,7 +136,7 @@ def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> Iterator[str]
     # the loop at rest is known of the recorded run alone
     yield Figure.said(recorded, "state", is_over=bool(recorded), stays=completed and not health["unstable_loop"])
     if not completed:
-        yield f"The run ended at {health['end_time'] or 0.0:g} s."
+        yield f"The results end at {health['end_time'] or 0.0:g} s."
         return
 
     def figure(name: str, usual: str, *, none: str = "", least: str = "", **more: Any) -> Figure:

@@ -163,7 +163,8 @@ def _bode(worst: LoopCurve, drawn: Sequence[tuple[LoopCurve, Mapping[str, Any]]]
     )
     inside = (frequency >= first) & (frequency <= last)
     gains, phases, lowest = list[Curve](), list[Curve](), float(worst.phase[inside].max()) - TURNS
-    for curve, look in drawn:
+    for curve, style in drawn:
+        look = {**style, "is_read": curve is worst}
         # other curves by whole turns, so that they begin beside the worst one
         begin, other = (float(np.interp(first, each.frequency, each.phase)) for each in (curve, worst))
         phase = curve.phase - 360.0 * round((begin - other) / 360.0)
@@ -178,10 +179,10 @@ def _bode(worst: LoopCurve, drawn: Sequence[tuple[LoopCurve, Mapping[str, Any]]]
         at = float(np.interp(g, frequency, worst.phase))
         line = -180.0 if isnan(at) else -180.0 + 360.0 * round((at + 180.0) / 360.0)
         text = f"gain margin {decibels:.3g} dB (× {margins.gain_margin:.3g})"
-        gains.append(Curve(np.array([f, f]), np.array([0.0, -decibels]), text, SECOND, 2.4, dot="disc"))
+        gains.append(Curve(np.array([f, f]), np.array([0.0, -decibels]), text, SECOND, 2.4, dot="disc", is_read=False))
         text = f"phase margin {angle:.3g}°, delay margin {1e3 * margins.delay_margin:.3g} ms"
         ends = np.array([line, line + (angle if at > line else -angle)])
-        phases.append(Curve(np.array([g, g]), ends, text, SECOND, 2.4, dot="disc"))
+        phases.append(Curve(np.array([g, g]), ends, text, SECOND, 2.4, dot="disc", is_read=False))
         floor = min(floor, -decibels - 5.0) if isfinite(decibels) else floor
     marks = [(each, name) for name, each in (("gain margin", f), ("phase margin", g)) if isfinite(each)]
     limits = float(first), float(last)

@@ -158,7 +158,7 @@
     }
     referenced = `${chosen} ${one.grid.key}`;
     // what failed has no figures, and of a single run its end stands in place of the verdict
-    const ended = !isCompared && one.failure && `${one.isUnstable ? "Unstable" : "Failed"}. The run ended at ${short(one.time[one.size - 1], 4)} s.`;
+    const ended = !isCompared && one.failure && `${one.isUnstable ? "Unstable" : "Failed"}. The results end at ${short(one.time[one.size - 1], 4)} s.`;
     verdict.replaceChildren(...(ended ? [ended] : sentences));
     const measured = (r) => (r.failure ? Object.fromEntries([...shown].map((name) => [name, null])) : (r.measured ?? r.measure(shown)));
     const metrics = new Map([...results].map(([place, r]) => [place, measured(r)])), zero = metrics.get(0);

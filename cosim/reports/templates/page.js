@@ -159,7 +159,9 @@ const page = (() => {
       const ends = [], isShown = ([x]) => x >= this.shown.x[0] && x <= this.shown.x[1];
       for (const [x] of this.marks.filter(isShown)) line([[at(x, "x"), bbox.top], [at(x, "x"), bbox.top + bbox.height]], "var(--grey)", 1, [5, 4]);
       this.marks.filter(isShown).forEach(([x, label]) => {
-        const width = ctx.measureText(label).width, left = Math.min(at(x, "x") + 4 * ratio, bbox.left + bbox.width - width), free = ends.findIndex((end) => end < left), row = free < 0 ? ends.length : free;
+        const width = ctx.measureText(label).width, place = at(x, "x") + 4 * ratio, fits = place + width <= bbox.left + bbox.width;
+        // beside its line: to the right, or else to the left
+        const left = fits ? place : Math.max(place - 8 * ratio - width, bbox.left), free = ends.findIndex((end) => end < left), row = free < 0 ? ends.length : free;
         ends[row] = left + width + 4 * ratio;
         text(label, left, bbox.top + (12 + 13 * row) * ratio, "left", "var(--grey)");
       });
@@ -249,7 +251,7 @@ const page = (() => {
         const sign = html("i", { className: curves[0].dot }, key);
         sign.style.background = curves[0].dashes.length ? `repeating-linear-gradient(90deg, ${curves[0].colour} 0 5px, transparent 5px 8px)` : curves[0].colour;
         html("span", {}, key, label);
-        this.keys.push({ curves, value: html("output", {}, key) });
+        this.keys.push({ curves: curves.filter((c) => c.is_read), value: html("output", {}, key) });
         key.ariaPressed = "true";
         key.addEventListener("click", () => { const off = key.classList.toggle("off"); key.ariaPressed = String(!off); curves.forEach((c) => (c.off = off)); this.redraw(); });
       }

@@ -19,7 +19,7 @@ from flexfmu.cosim.engine.files import RESULTS, OutputFolder, to_json
 from flexfmu.cosim.engine.showing import ShowProgress, quiet
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.reports.figure_style import save
-from flexfmu.cosim.reports.page import Page, Table, render
+from flexfmu.cosim.reports.page import TILES, Page, Table, render
 from flexfmu.cosim.reports.report import of_scene
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.terminal import titled_table
@@ -136,7 +136,7 @@ class PaperReport:
             Table(title, (), rows) for title, rows in (("Wall-clock times", times), ("Versions", versions)) if rows
         ]
         title = "The paper's experiment, printed and computed"
-        return Page(title, self.summary(), tiles=[(name, [f"{n}"]) for name, n in tiles.items()], **frame)
+        return Page(title, self.summary(), tiles=[(name, [f"{n}"]) for name, n in tiles.items()][:TILES], **frame)
 
     def write(self, folder: Path) -> None:
         """Write what is known: page and JSON.

@@ -13,6 +13,7 @@ import typer
 from typer.testing import CliRunner
 
 from flexfmu.cosim.cli.main import app
+from flexfmu.model.scene.file import shipped_scenes
 
 GROUP: Any = typer.main.get_command(app)
 ROOT = Path(__file__).parents[3]
@@ -87,6 +88,9 @@ def test_the_page_is_the_help() -> None:
     assert all(
         f"| `{option.get_help_record(context)[0]}".partition("|")[0] in written for _, context, option in OPTIONS
     )
+    # reading the scenes' names would load their schema for each help
+    for named in re.findall(r"shipped scene: ([\w., -]*\w)", written):
+        assert {*named.split(", ")} == {*shipped_scenes()}
 
 
 @pytest.mark.parametrize(("typed", "expected"), [("flexfmu mar", ["margins"]), ("flexfmu run --stop", ["--stop-time"])])

@@ -150,7 +150,7 @@ def test_large_deflections_are_said(make_run: MakeRun) -> None:
     sentences = summarise(bent_run, measure_run(bent_run))["health"]["large_deflections"]
     assert len(sentences) == 1
     assert sentences[0].startswith("links bend by up to 50 % of their length: the path may be off by more than 50 %")
-    assert "links bend by up to 50 % of their length" in report_of(bent_run)
+    assert "Links bend by up to 50 % of their length" in report_of(bent_run)
 
 
 def test_the_larger_of_both_joints_is_shown(make_run: MakeRun) -> None:
