@@ -187,11 +187,9 @@ class Piece(Protocol):
     @property
     def length(self) -> float:
         """Length [m]."""
-        ...
 
     def jets(self, s: RealArray, order: int) -> PlaneJets:
         """Return coordinates [m] and their derivatives by arc length at s (N,) [m], from 0 to the length."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -55,11 +55,9 @@ class InverseKinematics(Protocol):
 
     def joints(self, x: Jet, y: Jet) -> tuple[Jet, Jet]:
         """Return jets of q11 and q21 [rad], modulo 2π, from jets of the end effector's x and y [m]."""
-        ...
 
     def margins(self, position: RealArray) -> tuple[Margin, ...]:
         """Return all margins at end-effector positions (N, 2) [m], which may be outside the workspace."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -148,7 +146,6 @@ class ForwardKinematics(Protocol):
 
     def end_effector(self, q11: Jet, q21: Jet) -> tuple[Jet, Jet]:
         """Return jets of the end effector's x and y [m] from jets of the joint angles [rad]."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -53,11 +53,9 @@ class SmoothPiece(Protocol):
 
     def jet(self, eta: RealArray, order: int) -> Jet:
         """σ and its derivatives by η at the fractions ``eta``, shape (N,)."""
-        ...
 
     def value(self, eta: float) -> float:
         """σ at one fraction of the duration."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -207,11 +207,9 @@ class OwnMotion(Protocol):
     @property
     def duration(self) -> float:
         """Duration of the motion [s]."""
-        ...
 
     def position(self, time: float) -> Sequence[float]:
         """Return x and y of the end effector [m], or q11 and q21 of the joints [rad], at a time from 0 to the duration [s]."""
-        ...
 
 
 def as_trajectory(motion: OwnMotion | Trajectory) -> Trajectory:

@@ -40,12 +40,10 @@ class Trajectory(Protocol):
     @property
     def duration(self) -> float:
         """Duration of the motion [s]."""
-        ...
 
     @property
     def breakpoints(self) -> tuple[float, ...]:
         """Times [s] at which a derivative of some order may jump, ascending from 0 to ``duration``."""
-        ...
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """Return the coordinates and their time derivatives.
@@ -61,7 +59,6 @@ class Trajectory(Protocol):
         Raises:
             TrajectoryError: a time isn't finite, the order is negative, or ``side`` is unknown.
         """
-        ...
 
 
 @runtime_checkable
@@ -76,7 +73,6 @@ class HasLimits(Protocol):
             left: shape (N,), True for the left limit, False for the right one.
             order: order of the highest derivative, any.
         """
-        ...
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """Return the coordinates and their time derivatives, (order + 1, N, 2); see `Trajectory.evaluate`."""

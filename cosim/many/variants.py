@@ -334,7 +334,6 @@ class SignalMeasure(Protocol[V]):
 
     def __call__(self, run: Run) -> V:
         """Measure a run."""
-        ...
 
 
 @runtime_checkable
@@ -350,11 +349,9 @@ class PeakMeasure(Protocol[V]):
 
     def __call__(self, run: Run) -> V:
         """Measure a run of the FMU."""
-        ...
 
     def of_peaks(self, peaks: Mapping[str, float]) -> V:
         """The measure from the peaks, name of an output → largest magnitude."""
-        ...
 
 
 class SideBySide:

@@ -35,56 +35,44 @@ class DesignedMotion(Protocol):
     @property
     def duration(self) -> float:
         """Duration T [s]."""
-        ...
 
     @property
     def intervals(self) -> int:
         """Number of equal parts of the duration that steps of an integration go with."""
-        ...
 
     @property
     def variables(self) -> RealArray:
         """What a design may change (m,)."""
-        ...
 
     @property
     def room(self) -> RealArray:
         """Largest changes of the variables, down and up (2, m)."""
-        ...
 
     def with_duration(self, duration: float) -> Self:
         """Return the motion with another duration."""
-        ...
 
     def moved(self, change: RealArray) -> Self:
         """Return the motion after a change of its variables (m,)."""
-        ...
 
     def evaluate(self, fraction: ArrayLike, order: int = 2) -> RealArray:
         """Return joint angles and their time derivatives at fractions of the duration, (order + 1, N, 2) [rad, rad/s, ...]."""
-        ...
 
     def derivatives(self, fractions: RealArray) -> RealArray:
         """Return derivatives (N, 6, m) of [q_a, v_a, a_a] at fractions of the duration by the variables."""
-        ...
 
     def rates(self, fractions: RealArray, references: RealArray) -> list[RealArray]:
         """Return values whose bounds bound speeds, accelerations and jerks, three of (n, 2), wherever these fractions lie, where the motion has
         these angles, speeds and accelerations (3, N, 2)."""
-        ...
 
     def rates_by(self, fractions: RealArray, references: RealArray, by: RealArray) -> list[RealArray]:
         """Return their derivatives, three of (n, 2, m), by those of the references (N, 6, m)."""
-        ...
 
     def conditions(self) -> tuple[RealArray, RealArray]:
         """Return values (c,) that must not be positive for a motion to exist, and their derivatives (c, m)."""
-        ...
 
     def measures(self, unit: float) -> tuple[RealArray, RealArray]:
         """Return the size (m,) of changes that count alike, for a usual duration [s], and the squared size (m, m) of changes of the
         acceleration, relative to the largest one, and of the duration."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
