@@ -178,12 +178,14 @@ def search(judge: Judge, found: Sequence[Assessment], processes: int, show: Show
     def candidate(motions: Sequence[FamilyMotion]) -> Candidate:
         return Candidate(motions[0].label, "search", goals.scene.replace(motions[0].changes))
 
-    # the best one for all robots, from a slower start where it can't meet limits
+    # the best ones for all robots until one keeps all limits, and slower ones where there is no motion
     improver = Improver(judge, candidate, nodes_of(variations, NODES), aim, show)
     is_free, last = goals.wishes.duration is None, None
-    for slower in [STRETCH**k for k in range(STRETCHES)] if is_free else [1.0]:
-        if last := (yield from improver.refined(("search", slower), problem.begun(best[:1], slower))):
+    starts = [(each, 1.0) for each in best] + [(best[0], STRETCH**k) for k in range(1, STRETCHES) if is_free]
+    for number, (first, slower) in enumerate(starts):
+        if last and (last[1].feasible or slower > 1.0):
             break
+        last = (yield from improver.refined(("search", number), problem.begun([first], slower))) or last
     if last and is_free:
         # a slower one with less vibration
         quiet = problem.tightened({"residual": 1.0 / QUIET})
