@@ -147,7 +147,8 @@ def plan_scene(
     count, is_optimal, named = len(goals.ways), "optimal" in stages[0], ", ".join(stages[0])
     wrong = ""
     if before and len(before) != count:
-        wrong = f"the earlier plan has {len(before)} ways, and this one {count}: warm starts are from as many"
+        there, here = (f"{n} way{'s' * (n != 1)}" for n in (len(before), count))
+        wrong = f"the earlier plan goes {there}, this one {here}: warm starts are from as many"
     elif before and not is_optimal:
         wrong = "optimal control goes on from an earlier plan: choose the method optimal too, or start anew"
     elif goals.cycle and candidates:

@@ -188,7 +188,7 @@ def test_what_settles_is_bounded_as_the_fmu_settles(ratio: float, mass: float, t
     away = np.hypot(*(points - static_equilibrium(scene, last).position).T)
     for wait in (0.0, 0.03, 0.1, 0.2):
         swing = float(away[run.recording.time >= time + wait].max())
-        vibration = ResidualVibration([response.model], last, wait)
+        vibration = ResidualVibration(response.models, last, wait)
         bound = float(bounds(vibration.matrices, vibration.away(state))[0])
         assert 0.99 * swing - 1e-8 < bound < 2.0 * swing + 1e-8
 
@@ -330,7 +330,7 @@ def test_a_plan_goes_on_from_an_earlier_one(tmp_path: Path, monkeypatch: pytest.
     assert counts[2] < 0.5 * counts[1]
     with pytest.raises(InputError, match=r"has no planned.toml of an earlier plan"):
         planned_scenes(tmp_path / "elsewhere")
-    with pytest.raises(InputError, match="has 1 motions, and this one 2"):
+    with pytest.raises(InputError, match="goes 1 way, this one 2 ways"):
         plan_scene(CYCLE, before=planned_scenes(tmp_path))
 
 
