@@ -140,11 +140,11 @@ def plan_scene(
         raise InputError(f"unknown method {', '.join(unknown)}; choose from {', '.join(METHODS)}")
     work, clock = processor_time(), monotonic()
     goals = checked_goals(scene)
-    stages = [["optimal"], [*METHODS]] if methods is None else [[*methods]]
+    attempts = [["optimal"], [*METHODS]] if methods is None else [[*methods]]
     if methods is None and (before or goals.cycle or goals.wishes.front):
         # other methods know neither earlier plans nor cycles, and stand beside a front
-        stages = stages[:1] if before or goals.cycle else stages[1:]
-    count, is_optimal, named = len(goals.ways), "optimal" in stages[0], ", ".join(stages[0])
+        attempts = attempts[:1] if before or goals.cycle else attempts[1:]
+    count, is_optimal, named = len(goals.ways), "optimal" in attempts[0], ", ".join(attempts[0])
     wrong = ""
     if before and len(before) != count:
         there, here = (f"{n} way{'s' * (n != 1)}" for n in (len(before), count))
@@ -153,7 +153,7 @@ def plan_scene(
         wrong = "optimal control goes on from an earlier plan: choose the method optimal too, or start anew"
     elif goals.cycle and candidates:
         wrong = "motions of your own are compared with single motions: leave out `plan.cycle`, or the motions"
-    elif goals.cycle and stages[0] and not is_optimal:
+    elif goals.cycle and attempts[0] and not is_optimal:
         wrong = f"a cycle is planned by optimal control alone, not by {named}: choose it, or leave out `plan.cycle`"
     elif goals.wishes.front and not is_optimal:
         wrong = "`plan.front` is found by optimal control: choose the method optimal too, or leave out the front"
@@ -162,7 +162,7 @@ def plan_scene(
     goals = replace(goals, before=tuple(plan(each).once.joints for each in before))
     if goals.cycle:
         # other methods and models are for single motions
-        stages, robust = [[name for name in stages[0] if name == "optimal"]], False
+        attempts, robust = [[name for name in attempts[0] if name == "optimal"]], False
     show("the given motion", None)
     PreparedScene(scene).check_size(companion=False)
     judge, is_new = Judge(goals, journal=journal), not journal.done
@@ -185,8 +185,8 @@ def plan_scene(
 
     def proposed() -> Iterator[Candidate | str]:
         yield from candidates
-        for stage in stages:
-            for name in (each for each in METHODS if each in stage):
+        for attempt in attempts:
+            for name in (each for each in METHODS if each in attempt):
                 with noted(failures, name):
                     yield from METHODS[name](judge, found, processes, watched)
             if any(each.feasible and each.candidate.method == "optimal control" for each in found):
