@@ -103,6 +103,7 @@ class ElasticResponse:
 
     Attributes:
         models: the robots, those that are solved together in one.
+        starts: them at rest before the motion.
         fractions: of a motion's duration, at which references are wanted (N,).
 
     Raises:
@@ -124,7 +125,9 @@ class ElasticResponse:
         self.models = [VariantModel(group, loads) for group in groups]
         self.fractions = ((np.arange(steps)[:, np.newaxis] + METHOD.nodes) / steps).ravel()
         shared = math.gcd(steps, shared)
-        self._parts = [_Integration(model, start, steps, accuracy, shared) for model in self.models]
+        self.starts = [model.rest(start) for model in self.models]
+        pairs = zip(self.models, self.starts, strict=True)
+        self._parts = [_Integration(model, rest, steps, accuracy, shared) for model, rest in pairs]
 
     def of_motion(self, motion: DesignedMotion, *, derivatives: bool = True) -> Response:
         """The response to a motion from rest to rest, with derivatives by its variables.
@@ -179,9 +182,9 @@ def joined(arrays: Sequence[RealArray]) -> RealArray:
 class _Integration:
     """The elastic motion of variants that are solved together; arguments as of `ElasticResponse`."""
 
-    def __init__(self, model: VariantModel, start: RealArray, steps: int, accuracy: float, shared: int) -> None:
+    def __init__(self, model: VariantModel, start: Rest, steps: int, accuracy: float, shared: int) -> None:
         self._model, self._steps, self._accuracy, self._shared = model, steps, accuracy, shared
-        self._start = model.rest(start).elastic[:, np.newaxis]
+        self._start = start.elastic[:, np.newaxis]
         # stage values z and the matrices from which the next solution starts
         self._guess = np.zeros((len(self._start), 3 * steps, model.n))
         self.matrices: _Matrices | None = None

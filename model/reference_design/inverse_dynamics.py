@@ -21,15 +21,12 @@ from scipy.sparse.linalg import splu
 
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.reference_design.elastic_response import RobotVariant, VariantModel
-from flexfmu.model.reference_design.joint_spline import JointSpline, basis, rest_matrix
+from flexfmu.model.reference_design.joint_spline import DEGREE, JointSpline, basis, rest_matrix
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import PiecewisePolynomial
 from flexfmu.trajectories.trajectory import Trajectory
-
-DEGREE = 5
-"""Degree of the splines: the jerk is continuous."""
 
 LEAD = 0.002
 """Time [s] for which the joints may move before the end effector starts and after it has stopped. The slowest unstable zeros of a
@@ -76,7 +73,7 @@ class FlexibleReferences:
     def torque(self, time: RealArray) -> RealArray:
         """Motor torques [N m] at times (N,) [s] from the start of ``joints``, shape (N, 2); those at rest outside of it."""
         fractions = np.clip(np.asarray(time, dtype=float) / self.motors.duration, 0.0, 1.0)
-        orders = [basis(DEGREE, self.motors.intervals, fractions, k) / self.motors.duration**k for k in range(3)]
+        orders = [basis(self.motors.intervals, fractions, k) / self.motors.duration**k for k in range(3)]
         q, v, a = ((matrix @ self.elastic)[np.newaxis] for matrix in orders)
         references, n = np.hstack(list(self.motors.evaluate(fractions))), self.model.n
         return np.asarray(self.model.values(q, v, a, references)[0, :, n : n + 2])
@@ -110,7 +107,7 @@ def flexible_references(
     knots = np.array([0, *range(2, intervals - 1), intervals]) / intervals
     times, rest = knots * duration - LEAD, rest_matrix(intervals + DEGREE)
     targets = motion.evaluate(times, 0)[0]
-    matrices = np.array([basis(DEGREE, intervals, knots, k) @ rest / duration**k for k in range(3)])
+    matrices = np.array([basis(intervals, knots, k) @ rest / duration**k for k in range(3)])
     # equations for [elastic forces, end effector], with derivatives by [q_a, q_e], their rates and accelerations
     model = VariantModel([RobotVariant(scene)])
     n = model.n
@@ -139,4 +136,4 @@ def flexible_references(
             f"{duration:g} s; make it slower, or keep it away from singular poses"
         )
     found = rest @ free
-    return FlexibleReferences(model, JointSpline(found[:, :2].copy(), duration, DEGREE), found[:, 2:].copy())
+    return FlexibleReferences(model, JointSpline(found[:, :2].copy(), duration), found[:, 2:].copy())

@@ -1,6 +1,6 @@
 """Joint references as B-splines in normalised time, which start and end at rest.
 
-Both joints are splines of one degree on the same knots with full multiplicity at the ends, uniform or denser near both. The first coefficients are equal, and so
+Both joints are quintic splines on the same knots with full multiplicity at the ends, uniform or denser near both. The first coefficients are equal, and so
 are the last: velocity, acceleration and jerk are zero at both ends. A derivative is a spline whose coefficients are linear in
 those of the spline, and bounds on them bound the derivative everywhere (convex hull).
 
@@ -24,6 +24,9 @@ from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.piecewise import PiecewisePolynomial
 from flexfmu.trajectories.sources import from_scipy
 from flexfmu.trajectories.trajectory import Trajectory
+
+DEGREE = 5
+"""Degree of the splines: the jerk is continuous."""
 
 REST = 4
 """Equal coefficients at each end: velocity, acceleration and jerk are zero there."""
@@ -60,12 +63,14 @@ class DesignedMotion(Protocol):
     def derivatives(self, fractions: RealArray) -> RealArray:
         """Return derivatives (N, 6, m) of [q_a, v_a, a_a] at fractions of the duration by the variables."""
 
-    def rates(self, fractions: RealArray, references: RealArray) -> list[RealArray]:
-        """Return values whose bounds bound speeds, accelerations and jerks, three of (n, 2), wherever these fractions lie, where the motion has
-        these angles, speeds and accelerations (3, N, 2)."""
+    def rates(self, fractions: RealArray, references: RealArray, by: RealArray) -> list[tuple[RealArray, RealArray]]:
+        """Return values whose bounds bound speeds, accelerations and jerks, three of (n, 2), and their derivatives (n, 2, m).
 
-    def rates_by(self, fractions: RealArray, references: RealArray, by: RealArray) -> list[RealArray]:
-        """Return their derivatives, three of (n, 2, m), by those of the references (N, 6, m)."""
+        Args:
+            fractions: of the duration (N,).
+            references: angles, speeds and accelerations there (3, N, 2).
+            by: derivatives of these (N, 6, m); m is 0 where none are wanted.
+        """
 
     def conditions(self) -> tuple[RealArray, RealArray]:
         """Return values (c,) that must not be positive for a motion to exist, and their derivatives (c, m)."""
@@ -82,33 +87,28 @@ class JointSpline:
     As a design its variables are [free coefficients of joint 1, of joint 2, T].
 
     Attributes:
-        coefficients: of the basis functions [rad], shape (n, 2); n is the number of intervals + degree.
+        coefficients: of the basis functions [rad], shape (n, 2); n is the number of intervals + `DEGREE`.
         duration: duration of the motion [s].
-        degree: degree of the splines, 4 to 7.
         crowding: how much denser knots are near both ends, see `spline_knots`.
 
     Raises:
-        TrajectoryError: the duration isn't positive, or the shapes and the degree don't match.
+        TrajectoryError: the duration isn't positive, or the coefficients have a wrong shape.
     """
 
     coefficients: RealArray
     duration: float
-    degree: int = 5
     crowding: float = 0.0
 
     def __post_init__(self) -> None:
         positive("trajectory duration", self.duration, "s")
-        shape, least = self.coefficients.shape, max(self.degree + 1, 2 * REST)
-        if not 4 <= self.degree <= 7 or len(shape) != 2 or shape[1] != 2 or shape[0] < least:
-            raise TrajectoryError(
-                f"a joint spline has a degree of 4 to 7 and coefficients of shape ({least} or more, 2), "
-                f"got degree {self.degree} and shape {shape}"
-            )
+        shape = self.coefficients.shape
+        if len(shape) != 2 or shape[1] != 2 or shape[0] < 2 * REST:
+            raise TrajectoryError(f"a joint spline has coefficients of shape ({2 * REST} or more, 2), got {shape}")
 
     @property
     def intervals(self) -> int:
         """Number of intervals between knots."""
-        return len(self.coefficients) - self.degree
+        return len(self.coefficients) - DEGREE
 
     def with_duration(self, duration: float) -> JointSpline:
         """Return the same motion, faster or slower."""
@@ -122,10 +122,8 @@ class JointSpline:
             order: order of the highest derivative.
         """
         points = np.atleast_1d(np.asarray(fraction, dtype=float))
-        rows = [
-            basis(self.degree, self.intervals, points, k, self.crowding) @ self.coefficients for k in range(order + 1)
-        ]
-        return np.array([row / self.duration**k for k, row in enumerate(rows)])
+        bases = (basis(self.intervals, points, k, self.crowding) for k in range(order + 1))
+        return np.array([each @ self.coefficients / self.duration**k for k, each in enumerate(bases)])
 
     @property
     def variables(self) -> RealArray:
@@ -147,22 +145,20 @@ class JointSpline:
         """Return derivatives (N, 6, m) of [q_a, v_a, a_a] at fractions of the duration by the variables."""
         by = np.zeros((len(fractions), 3, 2, len(self.variables)))
         for k, values in enumerate(self.evaluate(fractions)):
-            moved = basis(self.degree, self.intervals, fractions, k, self.crowding)[:, REST:-REST] / self.duration**k
+            moved = basis(self.intervals, fractions, k, self.crowding)[:, REST:-REST] / self.duration**k
             by[:, k, 0, : moved.shape[1]] = by[:, k, 1, moved.shape[1] : -1] = moved
             by[:, k, :, -1] = -k / self.duration * values
         return by.reshape(len(fractions), 6, -1)
 
-    def rates(self, fractions: RealArray, references: RealArray) -> list[RealArray]:
-        """Return the coefficients of speeds, accelerations and jerks (n, 2); the first and last ones are zero."""
-        return [self._derived(k) @ self.coefficients / self.duration**k for k in (1, 2, 3)]
-
-    def rates_by(self, fractions: RealArray, references: RealArray, by: RealArray) -> list[RealArray]:
-        """Return their derivatives (n, 2, m)."""
+    def rates(self, fractions: RealArray, references: RealArray, by: RealArray) -> list[tuple[RealArray, RealArray]]:
+        """Return the coefficients of speeds, accelerations and jerks (n, 2), and their derivatives (n, 2, m); first and last ones are zero."""
         found = []
-        for k, each in enumerate(self.rates(fractions, references), 1):
-            by_free = self._derived(k)[:, REST:-REST] / self.duration**k
+        for k in (1, 2, 3):
+            # the coefficients that aren't zero at rest
+            derived = derivative_matrix(self.intervals, k, self.crowding)[REST - k : k - REST]
+            value, by_free = derived @ self.coefficients / self.duration**k, derived[:, REST:-REST] / self.duration**k
             own = np.stack([np.kron(unit, by_free) for unit in np.eye(2)], axis=1)
-            found.append(np.concatenate([own, -k * each[..., np.newaxis] / self.duration], axis=2))
+            found.append((value, np.concatenate([own, -k * value[..., np.newaxis] / self.duration], axis=2)))
         return found
 
     def conditions(self) -> tuple[RealArray, RealArray]:
@@ -173,56 +169,42 @@ class JointSpline:
         """Return the size (m,) of changes that count alike, the swing of the joints and a usual duration [s], and the squared size (m, m) of
         changes of the acceleration, relative to the largest one, and of the duration."""
         swing = float(np.ptp(self.coefficients, axis=0).max())
-        curve = derivative_matrix(self.degree, self.intervals, 2, self.crowding)
+        curve = derivative_matrix(self.intervals, 2, self.crowding)
         by_free = curve[:, REST:-REST]
         metric = np.kron(np.eye(2), by_free.T @ by_free) / np.abs(curve @ self.coefficients).max() ** 2
         return np.append(np.full(len(metric), swing), unit), block_diag(metric, [0.1 * len(curve) / unit**2])
 
-    def _derived(self, order: int) -> RealArray:
-        """The matrix from coefficients to those of a derivative that aren't zero at rest."""
-        return derivative_matrix(self.degree, self.intervals, order, self.crowding)[REST - order : order - REST]
-
     def trajectory(self) -> PiecewisePolynomial:
         """Return the joints' motion in time, exactly."""
-        knots = self.duration * spline_knots(self.degree, self.intervals, self.crowding)
-        return from_scipy(BSpline(knots, self.coefficients, self.degree), "joints")
+        knots = self.duration * spline_knots(self.intervals, self.crowding)
+        return from_scipy(BSpline(knots, self.coefficients, DEGREE), "joints")
 
 
-def spline_knots(degree: int, intervals: int, crowding: float = 0.0) -> RealArray:
-    """Knots from 0 to 1, the ends with full multiplicity, shape (intervals + 1 + 2 degree,).
+def spline_knots(intervals: int, crowding: float = 0.0) -> RealArray:
+    """Knots from 0 to 1, the ends with full multiplicity, shape (intervals + 1 + 2 `DEGREE`,).
 
     With a crowding c below 1 intervals are 1 - c times as long as uniform ones at both ends, and 1 + c times in the middle.
     """
     uniform = np.linspace(0.0, 1.0, intervals + 1)
     inner = uniform - crowding * np.sin(2.0 * np.pi * uniform) / (2.0 * np.pi)
-    return np.concatenate([np.zeros(degree), inner, np.ones(degree)])
+    return np.concatenate([np.zeros(DEGREE), inner, np.ones(DEGREE)])
 
 
 @lru_cache(maxsize=64)
-def _basis_splines(degree: int, intervals: int, order: int, crowding: float) -> BSpline:
-    """All basis functions as one spline, or a derivative of them in normalised time.
-
-    Raises:
-        TrajectoryError: the order is higher than the degree.
-    """
-    if order > degree:
-        raise TrajectoryError(f"a spline of degree {degree} has derivatives up to order {degree}, got {order}")
-    knots = spline_knots(degree, intervals, crowding)
-    return BSpline(knots, np.eye(intervals + degree), degree).derivative(order)
+def _basis_splines(intervals: int, order: int, crowding: float) -> BSpline:
+    """All basis functions as one spline, or a derivative of them in normalised time, up to the fifth."""
+    knots = spline_knots(intervals, crowding)
+    return BSpline(knots, np.eye(intervals + DEGREE), DEGREE).derivative(order)
 
 
-def basis(degree: int, intervals: int, points: RealArray, order: int = 0, crowding: float = 0.0) -> RealArray:
+def basis(intervals: int, points: RealArray, order: int = 0, crowding: float = 0.0) -> RealArray:
     """Return a derivative of all basis functions in normalised time at points (N,) of 0 to 1, shape (N, n)."""
-    return np.asarray(_basis_splines(degree, intervals, order, crowding)(points))
+    return np.asarray(_basis_splines(intervals, order, crowding)(points))
 
 
-def derivative_matrix(degree: int, intervals: int, order: int, crowding: float = 0.0) -> RealArray:
-    """Return the matrix from coefficients to those of a derivative in normalised time, shape (n - order, n).
-
-    Raises:
-        TrajectoryError: the order is higher than the degree.
-    """
-    return np.asarray(_basis_splines(degree, intervals, order, crowding).c[: intervals + degree - order])
+def derivative_matrix(intervals: int, order: int, crowding: float = 0.0) -> RealArray:
+    """Return the matrix from coefficients to those of a derivative in normalised time, shape (n - order, n)."""
+    return np.asarray(_basis_splines(intervals, order, crowding).c[: intervals + DEGREE - order])
 
 
 def rest_matrix(count: int) -> RealArray:
@@ -238,27 +220,24 @@ def rest_matrix(count: int) -> RealArray:
     return np.eye(count - 2 * REST + 2)[columns]
 
 
-def fitted(
-    trajectory: Trajectory, intervals: int, degree: int = 5, side: Side = "right", crowding: float = 0.0
-) -> JointSpline:
+def fitted(trajectory: Trajectory, intervals: int, side: Side = "right", crowding: float = 0.0) -> JointSpline:
     """Return the spline next to a motion of the joints by least squares; it has the same ends and starts and ends at rest.
 
     Args:
         trajectory: motion of the joints [rad]; it may be a shaped one.
         intervals: number of intervals between knots of the spline.
-        degree: degree of the spline.
         side: the limit that counts at breakpoints.
         crowding: how much denser the knots are near both ends.
     """
     # points at the nodes of Gauss in every interval
-    nodes = np.polynomial.legendre.leggauss(degree + 1)[0]
-    knots = spline_knots(degree, intervals, crowding)[degree : degree + intervals + 1]
+    nodes = np.polynomial.legendre.leggauss(DEGREE + 1)[0]
+    knots = spline_knots(intervals, crowding)[DEGREE : DEGREE + intervals + 1]
     points = (knots[:-1, np.newaxis] + np.diff(knots)[:, np.newaxis] * (0.5 + 0.5 * nodes)).ravel()
     duration = trajectory.duration
     angles = trajectory.evaluate(points * duration, 0, side)[0]
     ends = trajectory.evaluate([0.0, duration], 0, "right")[0]
     # the free coefficients
-    rest = rest_matrix(intervals + degree)
-    matrix = basis(degree, intervals, points, crowding=crowding) @ rest
+    rest = rest_matrix(intervals + DEGREE)
+    matrix = basis(intervals, points, crowding=crowding) @ rest
     free = np.linalg.lstsq(matrix[:, 1:-1], angles - matrix[:, [0, -1]] @ ends, rcond=None)[0]
-    return JointSpline(rest @ np.vstack([ends[:1], free, ends[1:]]), duration, degree, crowding)
+    return JointSpline(rest @ np.vstack([ends[:1], free, ends[1:]]), duration, crowding)

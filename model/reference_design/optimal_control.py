@@ -457,9 +457,7 @@ class _WayProgramme:
         before, after = start.evaluate([0.0, 1.0], 0)[0]
         self._links = tuple(name for name in LINK_LOADS if name in problem.limits)
         self.elastic = ElasticResponse(self.robots, before, parts * start.intervals, self._links, COMPARED, SHARED)
-        self.starts = [model.rest(before) for model in self.elastic.models]
         self.vibration = ResidualVibration(self.elastic.models, after, problem.settled_within)
-        self._largest = [problem.limits[name] for name in RATES]
         # of each load at all instants, the least of a robot's cases; link loads have one limit each for all their places
         self.units = {
             name: np.array([[limit[self.cases == k].min(axis=0).ravel()] for k in range(len(self.robots))])
@@ -474,10 +472,10 @@ class _WayProgramme:
         """Evaluate a motion."""
         response, problem = self.elastic.of_motion(motion, derivatives=derivatives), self._problem
         loads = Loads(response, self.vibration.holding, self._way.pause, problem.drives, self._links)
-        rates = zip(RATES, motion.rates(self.elastic.fractions, response.references), self._largest, strict=True)
+        rates = motion.rates(self.elastic.fractions, response.references, response.references_by)
         distance, gradient = self._way.distances(response.position)
         parts = [
-            *((name, np.abs(each) / largest - 1.0) for name, each, largest in rates),
+            *((name, np.abs(each) / problem.limits[name] - 1.0) for name, (each, _) in zip(RATES, rates, strict=True)),
             ("speed", motion.conditions()[0]),
             *((name, np.abs(loads.values(name)) / unit - 1.0) for name, unit in self.units.items()),
             ("clearance", (problem.clearance - distance) / DEPTH),
@@ -487,10 +485,11 @@ class _WayProgramme:
     def rows(self, state: WayState) -> list[RealArray]:
         """Derivatives (R, m) of the limits that can decide at each instant, by part."""
         motion, loads, deciding = state.motion, state.loads, [_deciding(*part) for part in state.parts]
-        here, found = (self.elastic.fractions, loads.response.references), list[RealArray]()
-        rates_by = motion.rates_by(*here, loads.response.references_by)
-        for each, by, largest in zip(motion.rates(*here), rates_by, self._largest, strict=True):
-            found.append(np.sign(each)[..., np.newaxis] * by / largest[:, np.newaxis])
+        rates = motion.rates(self.elastic.fractions, loads.response.references, loads.response.references_by)
+        found = [
+            np.sign(each)[..., np.newaxis] * by / self._problem.limits[name][:, np.newaxis]
+            for name, (each, by) in zip(RATES, rates, strict=True)
+        ]
         found = [each[some] for each, some in zip([*found, motion.conditions()[1]], deciding, strict=False)]
         for (name, unit), some in zip(self.units.items(), deciding[4:], strict=False):
             found.append((np.sign(loads.values(name)) / unit)[some][:, np.newaxis] * loads.rows(name, some))
@@ -548,7 +547,7 @@ class Stage:
         self._metric = block_diag(*(way.metric for way in self.ways))
         # which modes are whose (W, k)
         self._modes = block_diag(*(np.ones(way.vibration.matrices.shape[2]) for way in self.ways))
-        starts, ends = [way.starts for way in self.ways], [way.vibration.rests for way in self.ways]
+        starts, ends = [way.elastic.starts for way in self.ways], [way.vibration.rests for way in self.ways]
         self._left = LeftVibration(starts, ends, [way.pause for way in problem.ways], [way.cases for way in self.ways])
 
     def state(self, motions: Motions, *, derivatives: bool = True, renewed: bool = False) -> State:

@@ -422,14 +422,14 @@ class Judge:
 
 def _left_vibration(goals: Goals, ways: Sequence[Assessment], cases: Sequence[NDArray[np.intp]]) -> RealArray:
     """Bounds (2, W, C, 1) [m] of each way's residual vibration in the periodic motion, and of its difference from that from rest."""
-    starts, ends = list[list[Rest]](), list[ResidualVibration]()
+    starts, ends = list[Sequence[Rest]](), list[ResidualVibration]()
     states, transfers = list[RealArray](), list[RealArray]()
     for of_way, way in zip(goals.ways, ways, strict=True):
         motion, robots = way.candidate.joints, [each.robot(of_way.scene) for each in way.robots]
         first, last = motion.evaluate([0.0, motion.duration], 0, "right")[0]
         response = ElasticResponse(robots, first, STEPS)
         references = np.hstack(list(motion.evaluate(response.fractions * motion.duration, 2, "left")))
-        starts.append([model.rest(first) for model in response.models])
+        starts.append(response.starts)
         ends.append(ResidualVibration(response.models, last))
         states.append(ends[-1].away(response.respond(references, motion.duration).end))
         transfers.append(response.transfer(motion.duration))

@@ -132,10 +132,8 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
         if goals.before and (yield from refined("before", list(map(_moved, goals.before, map(_spline, given))))):
             return
         # first motions with the first bound of the residual vibration, and what is found on the way to them, once
-        problem, is_first = (
-            limited(goals, found[0], few),
-            all(each.candidate.method != "optimal control" for each in found),
-        )
+        problem = limited(goals, found[0], few)
+        is_first = all(each.candidate.method != "optimal control" for each in found)
         vibrating = {"residual": min(1.0, problem.residual / optimal_control.LOOSE)}
         for share in _shares(goals, found[0]) if is_first else ():
             begun = problem.tightened(vibrating).begun([_spline(each, WIDE) for each in given], share)

@@ -168,15 +168,10 @@ class PlanResult(Rows):
             lines.append(f"  {name}: {self.chosen.shown(name)} {unit} (given {self.given.shown(name)})")
         return "\n".join([*lines, f"  {self.verdict}"])
 
-    @property
-    def judge(self) -> Judge:
-        """Judges further motions; what it has judged before it knows."""
-        return Judge(self.goals)
-
     @cached_property
     def ways(self) -> tuple[tuple[Assessment, Assessment], ...]:
         """The given and the chosen motion of each way of a cycle, from rest; empty for a single motion."""
-        given, chosen = (self.judge.of_ways(each.candidate) for each in (self.given, self.chosen))
+        given, chosen = (Judge(self.goals).of_ways(each.candidate) for each in (self.given, self.chosen))
         return tuple(zip(given, chosen, strict=True))
 
     @property
@@ -237,7 +232,7 @@ class PlanResult(Rows):
         use, failures = self.goals.limits["residual"], list[str]()
         with noted(failures, "the robot can't follow them"):
             sampled = Candidate.of(self.goals, f"{rate:g} samples a second", "csv", motions)
-            use = self.judge.assess(sampled).uses[0]
+            use = Judge(self.goals).assess(sampled).uses[0]
         use = replace(use.used(math.inf, failures[0]) if failures else use, figure="residual of the samples")
         unit = unit if counts is None else "count"
         return DriveTable(rate, unit, np.concatenate(values, axis=1), np.concatenate(torques), use)

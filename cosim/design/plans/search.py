@@ -13,7 +13,7 @@ then costs a millisecond.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial, reduce
@@ -80,9 +80,6 @@ LOWEST, HIGHEST, LEAST_CORRIDOR = 0.6, 2.0, 1e-6
 PATHS = ((0.7, 0.8, 0.5), (1.0, 1.0, 0.1), (0.2, 0.8, 0.5))
 """Height, and height and width of the corners to begin with, from the smallest, 0, to the largest, 1: usual ones, and what goes around walls."""
 
-QUIET, SLOWER = 0.1, 1.2
-"""Residual vibration of the front's slower motion, relative to the limit, and the factor on the duration of its first motion."""
-
 NONE = 1e-2
 """Limit of the residual vibration of trials, relative to the wish, where it is what is minimised."""
 
@@ -125,7 +122,7 @@ Found = tuple[list[float], float] | None
 
 
 def search(judge: Judge, found: Sequence[Assessment], processes: int, show: ShowProgress) -> Iterator[Candidate | str]:
-    """Yield ever better motions, then slower ones with less vibration.
+    """Yield ever better motions.
 
     Args:
         judge: knows limits, bands and clearance.
@@ -142,26 +139,15 @@ def search(judge: Judge, found: Sequence[Assessment], processes: int, show: Show
     variations, aim = goals.variations(PAYLOADS[0]), goals.wishes.minimise
     problem = limited(goals, found[0], [robots_of(goals.scene, variations)])
     best, random = list[FamilyMotion](), np.random.default_rng(goals.wishes.seed)
-
-    def kept(
-        key: tuple[Any, ...], motion: FamilyMotion, compute: Callable[[], Found]
-    ) -> tuple[float, FamilyMotion] | None:
-        variables, cost = journal.kept(("search", *key), Found, compute) or (None, 0.0)
-        return None if variables is None else (cost, motion.moved(np.array(variables) - motion.variables))
-
     with mapping(partial(improved, problem, aim), processes) as work:
         for number, (payloads, parts, programmes) in enumerate(ROUNDS):
             cases, ranked = np.array(nodes_of(variations, payloads)), list[tuple[float, int, FamilyMotion]]()
-            made = work(
-                [
-                    (each, cases, parts, programmes)
-                    for k, each in enumerate(going)
-                    if ("search", number, k) not in journal
-                ]
-            )
+            new = [each for k, each in enumerate(going) if ("search", number, k) not in journal]
+            made = work([(each, cases, parts, programmes) for each in new])
             for k, motion in enumerate(going):
-                if trial := kept((number, k), motion, partial(next, made)):
-                    ranked.append((trial[0], k, trial[1]))
+                if trial := journal.kept(("search", number, k), Found, partial(next, made)):
+                    variables, cost = trial
+                    ranked.append((cost, k, motion.moved(np.array(variables) - motion.variables)))
                 done = number + (k + 1) / len(going)
                 show(f"search: round {number + 1} of {len(ROUNDS)}", done / (len(ROUNDS) + 1))
             best = [motion for _, _, motion in sorted(ranked)]
@@ -186,12 +172,6 @@ def search(judge: Judge, found: Sequence[Assessment], processes: int, show: Show
         if last and (last[1].feasible or slower > 1.0):
             break
         last = (yield from improver.refined(("search", number), problem.begun([first], slower))) or last
-    if last and is_free:
-        # a slower one with less vibration
-        quiet = problem.tightened({"residual": 1.0 / QUIET})
-        first = last[0][0].with_duration(SLOWER * last[0][0].duration)
-        if trial := kept(("quiet",), first, lambda: improved(quiet, aim, (first, cases, parts, programmes))):
-            yield candidate([trial[1]])
 
 
 def improved(problem: MotionProblem, aim: Aim, task: tuple[FamilyMotion, NDArray[np.intp], int, int]) -> Found:
@@ -449,17 +429,13 @@ class FamilyMotion:
                 found[..., k] = np.hstack(list((self.moved(change).evaluate(fractions) - here) / step))
         return found
 
-    def rates(self, fractions: RealArray, references: RealArray) -> list[RealArray]:
-        """Return speeds, accelerations and mean jerks between the fractions (n, 2)."""
-        _, speed, acceleration = references
-        return [speed, acceleration, np.diff(acceleration, axis=0) / (self.duration * np.diff(fractions)[:, None])]
-
-    def rates_by(self, fractions: RealArray, references: RealArray, by: RealArray) -> list[RealArray]:
-        """Return their derivatives (n, 2, n + 1)."""
-        _, speed, acceleration = by.reshape(len(fractions), 3, 2, -1).swapaxes(0, 1)
-        jerk = np.diff(acceleration, axis=0) / (self.duration * np.diff(fractions)[:, None, None])
-        jerk[..., -1] -= self.rates(fractions, references)[2] / self.duration
-        return [speed, acceleration, jerk]
+    def rates(self, fractions: RealArray, references: RealArray, by: RealArray) -> list[tuple[RealArray, RealArray]]:
+        """Return speeds, accelerations and mean jerks between the fractions (n, 2), and their derivatives (n, 2, n + 1)."""
+        _, speed, acceleration = by.reshape(len(fractions), 3, 2, by.shape[2]).swapaxes(0, 1)
+        times = self.duration * np.diff(fractions)[:, None]
+        jerk, jerk_by = np.diff(references[2], axis=0) / times, np.diff(acceleration, axis=0) / times[..., None]
+        jerk_by[..., -1:] -= jerk[..., None] / self.duration
+        return [(references[1], speed), (references[2], acceleration), (jerk, jerk_by)]
 
     def conditions(self) -> tuple[RealArray, RealArray]:
         """Return by how much the time law's shape is below the smallest allowed, and the slopes by the variables."""

@@ -10,7 +10,15 @@ import flexfmu
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.collocation import collocation
 from flexfmu.model.reference_design.elastic_response import ElasticResponse, RobotVariant, VariantModel
-from flexfmu.model.reference_design.joint_spline import REST, JointSpline, basis, derivative_matrix, fitted, rest_matrix
+from flexfmu.model.reference_design.joint_spline import (
+    DEGREE,
+    REST,
+    JointSpline,
+    basis,
+    derivative_matrix,
+    fitted,
+    rest_matrix,
+)
 from flexfmu.model.scene.errors import EquilibriumError, SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -22,18 +30,18 @@ from flexfmu.trajectories.piecewise import PiecewisePolynomial
 FINE = np.linspace(0.0, 1.0, 2001)
 
 
-def _random(degree: int, intervals: int, duration: float = 0.3, crowding: float = 0.0) -> JointSpline:
-    free = np.random.default_rng(degree).normal(size=(intervals + degree - 2 * REST + 2, 2))
-    return JointSpline(rest_matrix(intervals + degree) @ free, duration, degree, crowding)
+def _random(intervals: int, duration: float = 0.3, crowding: float = 0.0) -> JointSpline:
+    free = np.random.default_rng(intervals).normal(size=(intervals + DEGREE - 2 * REST + 2, 2))
+    return JointSpline(rest_matrix(intervals + DEGREE) @ free, duration, crowding)
 
 
-@pytest.mark.parametrize("degree", [4, 5, 6, 7])
-def test_the_trajectory_is_the_spline(degree: int) -> None:
+@pytest.mark.parametrize("crowding", [0.0, 0.4, 0.7])
+def test_the_trajectory_is_the_spline(crowding: float) -> None:
     """Angles and derivatives up to jerk, and rest at both ends."""
-    spline = _random(degree, 9, crowding=0.1 * degree)
+    spline = _random(9, crowding=crowding)
     exact, motion = spline.evaluate(FINE, 3), spline.trajectory()
     assert isinstance(motion, PiecewisePolynomial)
-    assert (motion.coordinates, motion.degree, len(motion.knots)) == ("joints", degree, 10)
+    assert (motion.coordinates, motion.degree, len(motion.knots)) == ("joints", DEGREE, 10)
     inside = slice(1, -1)
     found = motion.evaluate(FINE * spline.duration, 3)
     scale = abs(exact).max(axis=(1, 2))[:, np.newaxis, np.newaxis]
@@ -44,33 +52,31 @@ def test_the_trajectory_is_the_spline(degree: int) -> None:
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_coefficients_bound_derivatives(order: int) -> None:
     """No value is larger than the largest coefficient, and the bound is close on smooth motions."""
-    spline = _random(5, 12)
-    bounds = derivative_matrix(spline.degree, spline.intervals, order) @ spline.coefficients / spline.duration**order
+    spline = _random(12)
+    bounds = derivative_matrix(spline.intervals, order) @ spline.coefficients / spline.duration**order
     assert abs(spline.evaluate(FINE, 3)[order]).max() <= abs(bounds).max() * (1 + 1e-12)
     points = np.linspace(0.1, 0.9, 7)
-    slope = (basis(5, 12, points + 1e-6, order - 1) - basis(5, 12, points - 1e-6, order - 1)) / 2e-6
-    assert basis(5, 12, points, order) == pytest.approx(slope, abs=1e-4 * abs(slope).max())
-    assert derivative_matrix(5, 12, order) @ np.ones(17) == pytest.approx(0.0, abs=1e-9)
+    slope = (basis(12, points + 1e-6, order - 1) - basis(12, points - 1e-6, order - 1)) / 2e-6
+    assert basis(12, points, order) == pytest.approx(slope, abs=1e-4 * abs(slope).max())
+    assert derivative_matrix(12, order) @ np.ones(17) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_fit_keeps_splines_and_ends() -> None:
     """A spline is found again; another motion keeps its ends to rounding."""
-    spline = _random(5, 8, crowding=0.5)
+    spline = _random(8, crowding=0.5)
     again = fitted(spline.trajectory(), 8, crowding=0.5)
     assert again.coefficients == pytest.approx(spline.coefficients, abs=1e-10)
-    coarse = fitted(_random(7, 6).trajectory(), 20)
-    assert coarse.evaluate([0.0, 1.0], 0)[0] == pytest.approx(_random(7, 6).evaluate([0.0, 1.0], 0)[0], abs=1e-14)
-    assert abs(coarse.evaluate(FINE, 0) - _random(7, 6).evaluate(FINE, 0)).max() < 1e-3
+    coarse = fitted(_random(6).trajectory(), 20)
+    assert coarse.evaluate([0.0, 1.0], 0)[0] == pytest.approx(_random(6).evaluate([0.0, 1.0], 0)[0], abs=1e-14)
+    assert abs(coarse.evaluate(FINE, 0) - _random(6).evaluate(FINE, 0)).max() < 1e-3
 
 
 def test_wrong_shapes_are_errors() -> None:
-    """Too few coefficients for rest at both ends, a degree without jerk, an order above the degree."""
+    """Too few coefficients for rest at both ends, and one joint."""
     with pytest.raises(TrajectoryError, match="8 or more"):
         JointSpline(np.zeros((7, 2)), 0.3)
-    with pytest.raises(TrajectoryError, match="degree of 4 to 7"):
-        JointSpline(np.zeros((20, 2)), 0.3, 3)
-    with pytest.raises(TrajectoryError, match="up to order 5"):
-        derivative_matrix(5, 8, 6)
+    with pytest.raises(TrajectoryError, match="2"):
+        JointSpline(np.zeros((20, 1)), 0.3)
 
 
 VARIANTS = ({"payload.mass": 4.2}, {"payload.mass": 7.8, "material.youngs_modulus": 63e9, "damping.ratio": 0.01})

@@ -161,8 +161,6 @@ def test_motions_are_within_limits_for_any_number_of_processes(
     assert [each.scene for each in motions] == [each.scene for each in others]
     judged = [Judge(goals, 3).assess(each) for each in motions]
     assert any(each.feasible and each.time < 0.8 * SCENE.trajectory.duration for each in judged)
-    # what follows vibrates less
-    assert judged[-1].residual < 0.5 * judged[0].residual
 
 
 def test_a_search_that_is_left_ends(goals: Goals, given: Assessment, monkeypatch: pytest.MonkeyPatch) -> None:
