@@ -14,6 +14,7 @@ import re
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from math import frexp, nan, sqrt
 from typing import Any
@@ -145,7 +146,7 @@ def live_page(run: Run) -> str:
 def live_report(run: Run, summary: Mapping[str, Any], rest: RealArray | None) -> Page:
     """The same with a summary, and where the robot rests (2,) [m], None for no dwell."""
     found, others = live_run(run), [*_alternatives(run)]
-    page = report_page(summary, draw_plots(run, rest), simulating([("", found), *others]))
+    page = replace(report_page(summary, draw_plots(run, rest)), live=simulating([("", found), *others]))
     if found.facts and len(page.html.encode()) > LARGEST:
         inexact = LiveRun({**found.facts, "grid": {"knots": found.facts["grid"]["knots"]}})
         live = simulating([("", inexact), *others])
@@ -203,6 +204,7 @@ def simulating(
     reasons = [f"{option or 'the run'}: {run.reason}" for option, run in runs if run.reason]
     if not there:
         return Live(reasons=reasons)
+    reasons += [f"other values of {', '.join(fixed)}, which stay as in the scene"] if fixed else []
     head = json.dumps({"runs": there, "swept": swept or {}, "fixed": fixed or {}}).encode()
     return Live(base64.b64encode(gzip.compress(head + b"\n" + bytes(content), 9, mtime=0)).decode(), reasons)
 
@@ -241,22 +243,17 @@ def swept_page(
     """
     run = run_scene(scene)
     found = live_run(run, is_exact=False)
-    data = scene.model_dump(mode="json", exclude_none=True)
-    # a case of the sweep is designed anew
-    there = {each["key"] for each in found.facts.get("sliders", ()) if not each.get("frozen")}
+    if not found.facts:
+        return replace(page, live=simulating([("", found)]))
+    # of a robot that is designed anew a key has no slider: that would be another case of the sweep
+    data, sliders = scene.model_dump(mode="json", exclude_none=True), found.facts["sliders"]
+    there = {each["key"] for each in sliders if not each.get("frozen")}
     full = {key: full_key(data, key) for key in swept}
     spans = {key: span for key, span in swept.items() if span is not None and full[key] in there}
     known = {full[key]: [key, *span] for key, span in spans.items() if span[0] < span[1]}
-    fixed = [key for key in swept if key not in spans]
-    if fixed and found.facts:
-        # a slider of a robot that is designed anew would be another case
-        sliders = [each for each in found.facts["sliders"] if each["key"] not in {full[key] for key in fixed}]
-        found = LiveRun({**found.facts, "sliders": sliders})
-    live = simulating([("", found)], swept=known, fixed={key: own[key] for key in fixed})
-    if found.facts and fixed:
-        live = replace(live, reasons=[f"other values of {', '.join(fixed)}, which stay as in the scene"])
-    if not found.facts:
-        return replace(page, live=live)
+    fixed = {full[key]: key for key in swept if key not in spans}
+    facts = {**found.facts, "sliders": [each for each in sliders if each["key"] not in fixed]}
+    live = simulating([("", LiveRun(facts))], swept=known, fixed={key: own[key] for key in fixed.values()})
     first, *others = (each for each in draw_plots(run, _rest(run)) if each.key in SWEPT_PLOTS)
     metrics, tiles = measure_run(run), list[tuple[str, Sequence[str]]]()
     for name, (label, ends) in zip(names, page.tiles, strict=False):
@@ -521,7 +518,7 @@ def _sliders(
     """
     scene, known, found = run.scene, scene_values(run.scene), list[dict[str, Any]]()
     motion = run.plan if _has_object(run) else None
-    laws, own = _loop(scene, motion)
+    laws, own = usual = _loop(scene, {}, motion)
 
     def add(
         name: str, key: str, value: float, unit: str, targets: Sequence[tuple[str, float, int]], **more: Any
@@ -540,13 +537,7 @@ def _sliders(
     }
     designed = bool(scene.shaper or run.plan.design or run.parameters or prepared.parts.unfed)
     if not designed and (scene.controller or scene.imperfection):
-        try:
-            designed = _loop(scene.replace({key: 1.01 * starts[name] for name, key in robot.items()}), motion) != (
-                laws,
-                own,
-            )
-        except (SceneError, CosimError):
-            designed = True
+        designed = _loop(scene, {key: 1.01 * starts[name] for name, key in robot.items()}, motion) != usual
     for name, key in robot.items():
         value, assumed = starts[name], known[name].value
         label = name if value == assumed else f"{name} (the scene has {assumed:g})"
@@ -554,31 +545,27 @@ def _sliders(
         add(name, key, value, unit, [(name, value, 1)], label=label, frozen=designed)
     # the loop
     for name, key, value in _numbers(scene.model_dump(mode="json", exclude_none=True)):
-        powers = _powers(scene, motion, key, value, laws, own)
+        # half the value halves what is proportional to it, to the last bit
+        others, changed = _loop(scene, {key: 0.5 * value}, motion)
+        powers = _powers(own, changed) if others == laws else {}
         if powers and powers.keys() <= blocks.keys():
             units = {shown_unit(own[target].unit) if power == 1 else "" for target, power in powers.items()}
             targets = [(target, own[target].start or 0.0, power) for target, power in powers.items()]
             add(name, key, value, units.pop() if len(units) == 1 else "", targets)
     # the duration
-    fixed, duration = _fixed(run), run.plan.duration
-    if not fixed:
-        if _loop(scene.replace({"trajectory.duration": 1.1 * duration}), None) == (laws, own):
-            add("duration", "trajectory.duration", duration, "s", [], label="duration of the motion")
-        else:
-            fixed = "the loop is designed for it"
-    return {"sliders": found, "fixed": fixed}
-
-
-def _fixed(run: Run) -> str:
-    """Why the duration of the motion can't change in a page; empty if nothing is known."""
-    plan = run.plan
+    key, duration = "trajectory.duration", run.plan.duration
     reasons = {
-        "an input shaper acts on the motion": run.scene.shaper,
-        "the motion is that of an object": _has_object(run),
-        "the motion repeats": plan.repetition,
-        "its references are those of the flexible robot": plan.design,
+        "an input shaper acts on the motion": scene.shaper,
+        "the motion is that of an object": motion,
+        "the motion repeats": run.plan.repetition,
+        "its references are those of the flexible robot": run.plan.design,
     }
-    return next((reason for reason, holds in reasons.items() if holds), "")
+    fixed = next((reason for reason, holds in reasons.items() if holds), "")
+    if not fixed and _loop(scene, {key: 1.1 * duration}) != usual:
+        fixed = "the loop is designed for it"
+    if not fixed:
+        add("duration", key, duration, "s", [], label="duration of the motion")
+    return {"sliders": found, "fixed": fixed}
 
 
 def _robot_keys(scene: Scene) -> dict[str, str]:
@@ -587,9 +574,16 @@ def _robot_keys(scene: Scene) -> dict[str, str]:
     return {name: each.key + indices.get(name[-2:], "") for name, each in scene_values(scene).items()}
 
 
-def _loop(scene: Scene, motion: MotionPlan | None) -> tuple[list[Any], dict[str, Variable]]:
-    """The loop that a scene has around its robot: laws of all blocks, and their parameters by ``slave.name``."""
-    loop = loop_of(scene, motion and replace(motion, scene=scene))
+def _loop(
+    scene: Scene, changes: dict[str, Any], motion: MotionPlan | None = None
+) -> tuple[list[Any] | None, dict[str, Variable]]:
+    """The loop that a scene with changes has around its robot: laws of all blocks, None where it can't have the changes, and their
+    parameters by ``slave.name``."""
+    try:
+        scene = scene.replace(changes)
+        loop = loop_of(scene, motion and replace(motion, scene=scene))
+    except (SceneError, CosimError):
+        return None, {}
     slaves = (*loop.controllers, *(inline.slave for inline in loop.inline_blocks), *loop.disturbances)
     blocks = [each for each in slaves if isinstance(each, BlockSlave)]
     laws = [(s.name, s.sample_time, s.offset, s.block.states, sample_function(s.block).serialize()) for s in blocks]
@@ -611,21 +605,14 @@ def _numbers(data: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
                     yield from ((f"{short}[{i}]", f"{key}[{i}]", one) for i, one in enumerate(each))
 
 
-def _powers(
-    scene: Scene, motion: MotionPlan | None, key: str, value: float, laws: Sequence[Any], own: Mapping[str, Variable]
-) -> dict[str, int]:
-    """Parameter of a block → the power of a key's value that it is proportional to; empty if the key changes anything else."""
-    # half the value halves what is proportional to it, to the last bit
-    try:
-        others, changed = _loop(scene.replace({key: 0.5 * value}), motion)
-    except (SceneError, CosimError):
-        return {}
+def _powers(own: Mapping[str, Variable], changed: Mapping[str, Variable]) -> dict[str, int]:
+    """Parameter of a block → the power of a key's value that it is proportional to, from its change with half the value; empty if any isn't."""
     ratios = {
         name: frexp((own[name].start or nan) / (each.start or nan))
         for name, each in changed.items()
         if name in own and each != own[name]
     }
-    is_power = others == laws and all(fraction == 0.5 and exponent != 1 for fraction, exponent in ratios.values())
+    is_power = all(fraction == 0.5 and exponent != 1 for fraction, exponent in ratios.values())
     return {name: exponent - 1 for name, (_, exponent) in ratios.items()} if is_power else {}
 
 
@@ -656,50 +643,36 @@ def _span(scene: Scene, key: str, value: float) -> tuple[float, float]:
 
 
 def _copied(run: Run, prepared: PreparedScene) -> dict[str, Any]:
-    """What is needed to copy the run: its scene, the file that this comes from, and what was changed since; no file if that can't be said."""
-    scene, section, keys = run.scene, run.scene.cosimulation, _robot_keys(run.scene)
+    """What is needed to copy the run: its scene, the file or name that this comes from, and the keys with other values than there; no file
+    if that can't be said."""
+    scene, keys = run.scene, _robot_keys(run.scene)
     own = {name: value for name, value in run.parameters.items() if prepared.parts.changes.get(name) != value}
     if scene.has_objects or _has_object(run) or own.keys() - keys.keys():
         return {"scene": None, "origin": ""}
-    changes: dict[str, Any] = {
-        f"cosimulation.{key}": here
-        for key, here, there in (
-            ("step", run.communication_step, section.communication_step),
-            ("tolerance", run.tolerance, section.tolerance),
-        )
-        if here != there
-    }
+    changes: dict[str, Any] = {"cosimulation.step": run.communication_step, "cosimulation.tolerance": run.tolerance}
     if own:
         kept = scene.model_dump(exclude_none=True)["imperfection"]
         real = {keys[name]: value for name, value in own.items()}
         changes["imperfection"] = [*kept, {"kind": "parameter-error", "parameters": real}]
     scene = scene.replace(changes)
+    whole = scene.model_dump(mode="json", exclude_none=True)
     short = scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     short["effects"].pop("choice", None)
-    return {"scene": short, **_origin(scene)}
-
-
-def _origin(scene: Scene) -> dict[str, Any]:
-    """The file or name of a scene, and the keys with other values than there."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SceneWarning)
-            before = load_scene(scene.origin).model_dump(mode="json", exclude_none=True) if scene.origin else {}
-    except SceneError:
-        before = {}
-    own = scene.model_dump(mode="json", exclude_none=True)
-    short = scene.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-    changed: dict[str, Any] = {}
-    for name, value in own.items():
+    # beside the file
+    before, settings = dict[str, Any](), dict[str, Any]()
+    with suppress(SceneError), warnings.catch_warnings():
+        warnings.simplefilter("ignore", SceneWarning)
+        before = load_scene(scene.origin).model_dump(mode="json", exclude_none=True)
+    for name, value in whole.items():
         known = before.get(name)
         if isinstance(value, dict) and isinstance(known, dict) and known.keys() <= value.keys():
-            changed |= {
-                f"{name}.{key}": short[name].get(key, each) for key, each in value.items() if each != known.get(key)
-            }
+            others = {key: each for key, each in value.items() if each != known.get(key)}
+            settings |= {f"{name}.{key}": short[name].get(key, each) for key, each in others.items()}
         elif value != known:
-            changed[name] = short.get(name, value)
+            settings[name] = short.get(name, value)
     # no --set takes a section away
-    return {"origin": scene.origin if before and before.keys() <= own.keys() else "", "settings": [*changed.items()]}
+    origin = scene.origin if before and before.keys() <= whole.keys() else ""
+    return {"scene": short, "origin": origin, "settings": [*settings.items()]}
 
 
 def _divergence(run: Run) -> dict[str, float]:

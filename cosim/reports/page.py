@@ -9,7 +9,7 @@ import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from html import escape
 from importlib.resources import files
 from typing import Any, Self
@@ -225,7 +225,7 @@ class Page:
         curves = sum(len(panel.curves) for plot in plots for panel in plot.panels)
         return LIVE_POINTS if self.live.packed else min(max(POINTS // max(curves, 1), FEWEST), MOST_POINTS)
 
-    @property
+    @cached_property
     def html(self) -> str:
         """The page."""
         return render("page.html.j2", page=self)

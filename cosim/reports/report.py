@@ -11,7 +11,7 @@ import numpy as np
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, display_error, larger
-from flexfmu.cosim.reports.page import FIRST_METRICS, RECORDED, Figure, Live, Page, Plot, Table
+from flexfmu.cosim.reports.page import FIRST_METRICS, Figure, Page, Plot, Table
 from flexfmu.cosim.reports.plots import robot_motion, scene_plot
 from flexfmu.cosim.reports.summary import (
     describe_effects,
@@ -38,13 +38,12 @@ OFFSET = 0.6
 the rest. A harmonic has 0.71 of its amplitude as root mean square, but all of it as a peak."""
 
 
-def report_page(summary: Mapping[str, Any], plots: Iterable[Plot], live: Live = RECORDED) -> Page:
+def report_page(summary: Mapping[str, Any], plots: Iterable[Plot]) -> Page:
     """Return the report.
 
     Args:
         summary: summary of the run by `flexfmu.cosim.reports.summary.summarise`.
         plots: plots of the run by `flexfmu.cosim.reports.plots.draw_plots`.
-        live: what the page simulates.
     """
     drawn = list(plots)
     completed, accuracy = summary["health"]["outcome"] == "completed", summary.get("accuracy", {}).get("text", ())
@@ -60,7 +59,6 @@ def report_page(summary: Mapping[str, Any], plots: Iterable[Plot], live: Live = 
         first=[plot for plot in drawn if plot.key in FIRST_PLOTS],
         answers=(accuracy, [plot for plot in drawn if plot.key.startswith(ACCURACY)]),
         folded=list(_tables(summary)),
-        live=live,
     )
 
 
