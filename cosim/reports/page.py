@@ -92,7 +92,8 @@ class Figure(str):
         if is_relative and value is not None and limit:
             text, factor, unit = f"{value / limit:.3g}", 1.0 / limit, ""
         if base and value is not None:
-            text += f" ({100.0 * (value - base) / abs(base):+.3g} %)".replace("-", "−")
+            # without a power of ten
+            text += f" ({float(f'{100.0 * (value - base) / abs(base):.3g}'):+g} %)".replace("-", "−")
         within = value is not None and value <= (limit or 0.0)
         phrase = phrases[0 if value is None else 1 if within else 2]
         facts: dict[str, Any] = {"parts": OF_BOTH.get(name, [name]), "factor": factor, "unit": unit, "limit": limit}

@@ -152,6 +152,8 @@ def test_metrics_stand_beside_each_other_with_differences() -> None:
     assert table.header == ["Metric", "Name", "slow", "fast", "measured"]
     assert table.rows[0] == ["Peak torque, joint 1", "peak_torque_1", "10 N·m", "12.5 N·m (+25 %)", "–"]
     assert table.rows[1][2:] == ["–", "–", "–"]
+    cells = metrics_table([compared(f"{each}", each) for each in (1.0, 13.456, 0.9)]).rows[0][3:]
+    assert cells == ["134.56 N·m (+1250 %)", "9 N·m (−10 %)"]
 
 
 def test_curves_are_the_recordings() -> None:
