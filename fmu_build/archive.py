@@ -104,6 +104,20 @@ def open_archive(path: Path, kind: str = "FMU", judged: bool = False) -> zipfile
     return archive
 
 
+def files_in(path: Path, folder: str) -> dict[str, bytes]:
+    """The files in a folder of an FMU: path below the folder → content.
+
+    Raises:
+        ArchiveError: the FMU can't be read.
+    """
+    try:
+        with open_archive(path) as archive:
+            names = [each for each in archive.namelist() if each.startswith(f"{folder}/") and not each.endswith("/")]
+            return {name.removeprefix(f"{folder}/"): archive.read(name) for name in names}
+    except DAMAGED as error:
+        raise ArchiveError(f"can't read the {folder} of {path}: {error}") from error
+
+
 def unsafe(member: zipfile.ZipInfo) -> str:
     """What makes a member of an archive unsafe to unpack; empty if nothing does."""
     # Python's zip reader cuts a name at a zero

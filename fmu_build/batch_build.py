@@ -11,10 +11,10 @@ from ctypes import CDLL
 from functools import cache
 from pathlib import Path
 
-from flexfmu.fmu_build.archive import DAMAGED, open_archive
+from flexfmu.fmu_build.archive import files_in
 from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.compilation import compile_library
-from flexfmu.fmu_build.errors import ArchiveError, BuildError, ModelError
+from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.sources import Sources, c_files, runtime_sources
 from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, RUNTIME_FLAGS, find_compiler, native_platform
 
@@ -62,14 +62,8 @@ def batch_library(fmu: Path, lanes: int) -> Path:
 
 def _generated_code(fmu: Path) -> dict[str, str]:
     """The generated C files of an FMU, name → text."""
-    try:
-        with open_archive(fmu) as archive:
-            names = [name for name in archive.namelist() if name.startswith("sources/model_")]
-            texts = {name.removeprefix("sources/"): archive.read(name).decode() for name in names}
-    except (ArchiveError, *DAMAGED) as error:
-        raise BuildError(f"can't read the sources of {fmu}: {error}") from error
-    runtime = runtime_sources()
-    return {name: text for name, text in texts.items() if name not in runtime}
+    files, runtime = files_in(fmu, "sources"), runtime_sources()
+    return {name: text.decode() for name, text in files.items() if name.startswith("model_") and name not in runtime}
 
 
 def _compiled(name: str, generated: dict[str, str], runtime: dict[str, str], flags: tuple[str, ...]) -> Path:

@@ -12,7 +12,6 @@ import gzip
 import json
 import re
 import warnings
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
@@ -20,11 +19,11 @@ from math import frexp, nan, sqrt
 from typing import Any
 
 import numpy as np
-from lxml import etree
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.design.margins.loop_warnings import loop_sentences
 from flexfmu.cosim.engine.errors import CosimError, InputError
+from flexfmu.cosim.engine.fmu.file import open_fmu, parsed
 from flexfmu.cosim.engine.hermite import hermite_derivatives, hermite_scales
 from flexfmu.cosim.engine.master.program_image import FUNCTIONS, ProgramImage, program_image
 from flexfmu.cosim.engine.results import Selection
@@ -56,6 +55,7 @@ from flexfmu.cosim.reports.page import Figure, Live, Page
 from flexfmu.cosim.reports.plots import draw_plots
 from flexfmu.cosim.reports.report import report_page
 from flexfmu.cosim.reports.summary import summarise
+from flexfmu.fmu_build.archive import files_in
 from flexfmu.fmu_build.block_build import sample_function
 from flexfmu.fmu_build.choices import INITIAL
 from flexfmu.fmu_build.codegen import c_code, function_facts
@@ -324,17 +324,13 @@ def _simulated(run: Run, *, is_exact: bool) -> dict[str, Any]:
     blocks = [each for i in image.blocks if isinstance(each := simulator.schedule.slaves[i], BlockSlave)]
     if refused := next((each for each in blocks if each.block.libraries or each.block.c_files), None):
         raise InputError(f"{refused.name!r} calls C of yours")
-    with zipfile.ZipFile(run.fmu_path) as archive:
-        root = etree.fromstring(archive.read("modelDescription.xml"))
-        texts = {
-            name.removeprefix("sources/"): archive.read(name).decode()
-            for name in archive.namelist()
-            if name.startswith("sources/") and name.endswith((".c", ".h"))
-        }
-    if not texts or root.find("CoSimulation") is None:
+    files = files_in(run.fmu_path, "sources")
+    texts = {name: text.decode() for name, text in files.items() if name.endswith((".c", ".h"))}
+    if not texts or open_fmu(run.fmu_path).kind != "CoSimulation":
         raise InputError(f"{run.fmu_path.name} has no C sources")
     return {
-        **_facts(run, again, prepared, image, grid, root),
+        **_facts(run, again, prepared, image),
+        "grid": grid,
         "module": np.frombuffer(_compiled(texts, blocks), np.uint8),
     }
 
@@ -441,14 +437,11 @@ def _grid(prepared: PreparedScene, *, is_exact: bool) -> dict[str, Any]:
     }
 
 
-def _facts(
-    run: Run, again: Run, prepared: PreparedScene, image: ProgramImage, grid: dict[str, Any], root: Any
-) -> dict[str, Any]:
+def _facts(run: Run, again: Run, prepared: PreparedScene, image: ProgramImage) -> dict[str, Any]:
     """What the page knows beside the module, of a run and the same with tunable delays."""
     parts, schedule, recorder = prepared.parts, prepared.simulator.schedule, prepared.simulator.recorder
-    model = model_facts(root)
-    times, jets = _knots(run.plan.task)
-    plan = run.plan
+    variables = model_facts(parsed(open_fmu(run.fmu_path).folder).getroot())["variables"]
+    plan, (times, jets) = run.plan, _knots(run.plan.task)
     # starts as the FMU takes them, and where it rests at the end
     starts = dict(parts.plant.start_numbers)
     end, position = plan.end_pose
@@ -463,7 +456,7 @@ def _facts(
     }
     return {
         "name": run.scene.name,
-        "model": {"guid": GUID, "variables": model["variables"]},
+        "model": {"guid": GUID, "variables": variables},
         **_copied(run, prepared),
         "image": np.frombuffer(image.data, np.uint8),
         **{name: getattr(image, name) for name in ("words", "advance", "exchange", "script", "handle", "channels")},
@@ -479,13 +472,12 @@ def _facts(
         "band": run.scene.cosimulation.settling_band,
         "divergence": _divergence(run),
         "breakpoints": [float(each) for each in parts.references.breakpoints],
-        **_sliders(again, prepared, model["variables"], starts, image.parameters),
+        **_sliders(again, prepared, variables, starts, image.parameters),
         "clocks": [
             [slave.sample_time, slave.offset]
             for i in schedule.due
             if isinstance(slave := schedule.slaves[i], BlockSlave)
         ],
-        "grid": grid,
         "motors": _motors(run.scene),
         "metrics": {name: each.how for name, each in ALL_METRICS.items()},
         "task": {"times": times, "begins": jets[:, :ENDS]},

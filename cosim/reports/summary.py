@@ -31,7 +31,7 @@ from flexfmu.cosim.metrics.signals import cycle_errors
 from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.cosim.metrics.stress import link_stresses
 from flexfmu.cosim.reports.page import Table
-from flexfmu.fmu_build.archive import DAMAGED, open_archive
+from flexfmu.fmu_build.archive import files_in
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.model.scene.choice import NAMED_FLOOR
 from flexfmu.model.scene.effects import CHOOSABLE, LOADS
@@ -231,15 +231,14 @@ def _health(run: Run, measurements: Mapping[str, Metric]) -> dict[str, Any]:
 def _beyond_tolerance(run: Run, measurements: Mapping[str, Metric]) -> Iterator[str]:
     """Yield a sentence for each metric of an automatic choice whose numerical error is larger than what was asked for."""
     choice = run.scene.effects.choice
-    for name in () if choice is None else (each for each in choice.of if each in measurements):
-        found, peak = measurements[name], measurements["peak_position_error"].value
-        error = found.own_error
-        if choice is None or found.value is None or error is None:
-            continue
-        scale = max(abs(found.value), NAMED_FLOOR * (peak or 0.0) if ALL_METRICS[name].unit == "m" else 0.0)
-        if error > choice.tolerance * scale:
+    if choice is None:
+        return
+    for name in filter(measurements.__contains__, choice.of):
+        found, peak, info = measurements[name], measurements["peak_position_error"].value, ALL_METRICS[name]
+        error, floor = found.own_error, NAMED_FLOOR * (peak or 0.0) if info.unit == "m" else 0.0
+        if found.value is not None and error is not None and error > choice.tolerance * max(abs(found.value), floor):
             yield (
-                f"{ALL_METRICS[name].label}: the run's own numerical error of {error:.2g} {shown_unit(ALL_METRICS[name].unit)} is more than the "
+                f"{info.label}: the run's own numerical error of {error:.2g} {shown_unit(info.unit)} is more than the "
                 f"{100.0 * choice.tolerance:g} % that the choice of effects was asked for; reduce `cosimulation.step`, now "
                 f"{run.communication_step:g} s, or `cosimulation.tolerance`, now {run.tolerance:g}"
             )
@@ -341,10 +340,8 @@ def versions(fmu: Path | None = None) -> Mapping[str, str | None]:
 def compiler_of(fmu: Path) -> str | None:
     """Return the compilers of the FMU's binaries by their signatures; None if there are none or the FMU can't be read."""
     try:
-        with open_archive(fmu) as archive:
-            names = [name for name in archive.namelist() if name.startswith("binaries/") and not name.endswith("/")]
-            signatures = {found for name in names for found in _COMPILER.findall(archive.read(name))}
-    except (ArchiveError, *DAMAGED):
+        signatures = {found for binary in files_in(fmu, "binaries").values() for found in _COMPILER.findall(binary)}
+    except ArchiveError:
         return None
     return ", ".join(sorted(each.decode("ascii", "replace") for each in signatures)) or None
 

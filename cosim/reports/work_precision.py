@@ -106,10 +106,7 @@ def tried_settings(answer: AccuracyAnswer, duration: float) -> Iterator[Plot]:
         ]
         lines = by_line(trials) | {FRONT: list(WorkCurve.of(trials).trials)}
         title = f"{definition(figure.name).label}: what its accuracy costs"
-        label = (
-            ("relative error" if figure.value else "error")
-            + " beside the richest model"
-            + ("" if figure.value else f" [{figure.unit}]")
-        )
+        beside = "error beside the richest model"
+        label = f"relative {beside}" if figure.value else f"{beside} [{figure.unit}]"
         marks = [(figure.allowed / size, "asked")]
         yield diagram(f"{ACCURACY}{figure.name}", (title, TRIED, label), lines, duration, marks, markers)
