@@ -153,7 +153,7 @@ def html(results: Sequence[HardCaseResult]) -> str:
     cells = [(name, passed, *others) for name, *others, passed in rows]
     table = Table("Cases", (case, verdict, *texts), cells, texts=len(texts))
     lead = " ".join(INTRODUCTION.partition("\n")[2].replace("`", "").split())
-    return Page("Hard cases", conclusion(results), tables=[table], lead=lead).html
+    return Page("Hard cases", [conclusion(results)], tables=[table], lead=lead).html
 
 
 def data(results: Sequence[HardCaseResult]) -> dict[str, Any]:

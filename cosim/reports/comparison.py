@@ -102,6 +102,10 @@ class ComparedRun:
     failure: str = ""
     run: Run | None = field(default=None, repr=False, compare=False)
 
+    def metric(self, name: str) -> Metric:
+        """A metric, of `OF_BOTH` that of the joint or leg with the larger value; without a value where it has none."""
+        return self.metrics.get(larger(name, self.metrics), Metric(None))
+
 
 def comparison_page(runs: Sequence[ComparedRun], tables: Sequence[Table], plots: Sequence[Plot]) -> Page:
     """Return the page that compares runs.
@@ -123,7 +127,7 @@ def first_tiles(runs: Sequence[ComparedRun]) -> list[tuple[str, Sequence[str]]]:
     tiles = list[tuple[str, Sequence[str]]]()
     said = {part for name in FIRST_METRICS for part in OF_BOTH.get(name, [name])}
     for name in (*FIRST_METRICS, *(each for each in ALL_METRICS if each not in said)):
-        found = [run.metrics.get(larger(name, run.metrics), Metric(None)) for run in runs[:TILE_RUNS]]
+        found = [run.metric(name) for run in runs[:TILE_RUNS]]
         if any(each.value is not None for each in found) and len(tiles) < TILES:
             shown = [Figure.of(name, each.value, run=i, digits=4, error=each.error) for i, each in enumerate(found)]
             tiles.append((definition(name).label, shown))
@@ -136,13 +140,8 @@ def _ranks(runs: Sequence[ComparedRun]) -> Iterator[str]:
     text = f"Unstable or failed: {', '.join(names[place] for place in failed)}. " if failed else ""
     yield Figure.said(text, "failures", is_over=bool(failed), names=names, failed=failed)
     for name, text in RANKS.items():
-        values = {
-            run.name: each.value
-            for run in runs
-            if not run.failure
-            and (each := run.metrics.get(larger(name, run.metrics))) is not None
-            and each.value is not None
-        }
+        known = {run.name: run.metric(name).value for run in runs if not run.failure}
+        values = {run: value for run, value in known.items() if value is not None}
         if len({*values.values()}) > 1:
             best = min(values, key=values.__getitem__)
             found = f"{best} {text}, {display(name, values[best], 3)}. "
@@ -196,7 +195,7 @@ def metrics_table(runs: Sequence[ComparedRun]) -> Table:
     """Return the metrics of runs side by side, each with its difference from the first run's in percent."""
 
     def cell(name: str, run: int, found: Metric) -> str:
-        base = runs[0].metrics.get(name, Metric(None)).value if run else None
+        base = runs[0].metric(name).value if run else None
         return Figure.of(name, found.value, run=run, error=found.error, base=base)
 
     rows = [*_rows(ALL_METRICS, [run.metrics for run in runs], cell, has_unit=False)]

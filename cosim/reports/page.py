@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from html import escape
 from importlib.resources import files
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -189,12 +189,11 @@ class Page:
 
     Attributes:
         title: heading.
-        verdict: what was found, in one or two sentences; of a page that simulates in parts, among them figures.
+        verdict: what was found, in one or two sentences; parts, among them figures.
         plots, tables: in their order, the tables before the plots.
         tiles: the main figures: what each is, and its values.
         lead: what the page is about.
-        notices: what the reader must know first: sentence and details.
-        has_failed: whether the first notice is of a failure.
+        notices: what the reader must know first: kind, sentence and details.
         first: plots of the robot in motion, on top, beside the sliders of a page that simulates.
         answers: sentences and plots on the accuracy that was asked for.
         folded: tables behind the plots, which a click opens.
@@ -202,22 +201,16 @@ class Page:
     """
 
     title: str
-    verdict: str | Sequence[str]
+    verdict: Sequence[str]
     plots: Sequence[Plot] = ()
     tables: Sequence[Table] = ()
     tiles: Sequence[tuple[str, Sequence[str]]] = ()
     lead: str = ""
-    notices: Sequence[tuple[str, str]] = ()
-    has_failed: bool = False
+    notices: Sequence[tuple[Literal["failed", "warned"], str, str]] = ()
     first: Sequence[Plot] = ()
     answers: tuple[Sequence[str], Sequence[Plot]] = ((), ())
     folded: Sequence[Table] = ()
     live: Live = RECORDED
-
-    @property
-    def sentences(self) -> Sequence[str]:
-        """The parts of the verdict."""
-        return [self.verdict] if isinstance(self.verdict, str) else self.verdict
 
     @property
     def points(self) -> int:

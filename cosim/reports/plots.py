@@ -32,7 +32,7 @@ from flexfmu.cosim.metrics.signals import (
     sample,
     segments,
 )
-from flexfmu.cosim.reports.chart import DASHES, FIRST, GREY, INK, SECOND, Curve, Marker, Panel, look
+from flexfmu.cosim.reports.chart import DASHES, FIRST, GREY, INK, PALETTE, SECOND, Curve, Marker, Panel, look
 from flexfmu.cosim.reports.page import Plot
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 from flexfmu.cosim.reports.work_precision import tried_settings
@@ -206,9 +206,6 @@ DISTANCES = ("deviation", "acceleration", "vibration")
 
 FRAME, EACH = 90.0, 100.0
 """Height of what is around the panels of a plot of signals, and of each [pt]."""
-
-COLOURS = (FIRST, SECOND)
-"""Of the curves of joints 1 and 2."""
 
 
 def _both(pattern: str, of: str = "joint") -> dict[str, str]:
@@ -393,7 +390,7 @@ def motor_plots(run: Run) -> Iterator[Plot]:
         x, y = motor.maximum_speed * np.array([-1, 1, 1, -1, -1]), torque * np.array([-1, -1, 1, 1, -1])
         return Curve(x, y, name, GREY, dashes=dashes, is_read=False)
 
-    for load, colour in zip(loads, COLOURS, strict=True):
+    for load, colour in zip(loads, PALETTE, strict=False):
         motor = load.motor
         limits = [
             limit(motor, motor.peak_torque, "peak torque, speed"),
@@ -402,6 +399,6 @@ def motor_plots(run: Run) -> Iterator[Plot]:
         path = Curve(load.speed, load.torque, load.label, colour, more={"time [s]": load.time})
         panel = Panel(label="torque [N·m]", curves=[*limits, path], is_function=False)
         yield Plot(f"motor-{load.joint}", f"Torque over speed, {load.label}", caption, (panel,), "speed [rad/s]")
-    curves = [Curve(load.time, load.power, load.label, colour) for load, colour in zip(loads, COLOURS, strict=True)]
+    curves = [Curve(load.time, load.power, load.label, colour) for load, colour in zip(loads, PALETTE, strict=False)]
     panel = Panel(label="power [W]", curves=curves)
     yield Plot("motor-power", "Mechanical power of the motors", "At the shaft; negative: regenerated.", (panel,))

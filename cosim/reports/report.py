@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import isclose
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,9 +27,6 @@ from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.path import BLENDS
 from flexfmu.trajectories.profiles import PROFILES
 
-FIRST_PLOTS = ("scene",)
-"""Plots beside the sliders."""
-
 SAME = 1e-6
 """Relative difference below which two torques are the same."""
 
@@ -47,16 +44,15 @@ def report_page(summary: Mapping[str, Any], plots: Iterable[Plot]) -> Page:
     """
     drawn = list(plots)
     completed, accuracy = summary["health"]["outcome"] == "completed", summary.get("accuracy", {}).get("text", ())
-    others = [plot for plot in drawn if not plot.key.startswith((ACCURACY, *FIRST_PLOTS))]
+    others = [plot for plot in drawn if not plot.key.startswith((ACCURACY, "scene"))]
     return Page(
         title_of(summary),
         [*_verdict(summary, drawn)],
         others,
         tiles=[_tile(name, summary) for name in FIRST_METRICS] if completed else (),
         lead=_motion_sentence(summary["scene"], summary.get("motion")),
-        notices=list(_notices(summary)),
-        has_failed=not completed or bool(instability(summary["health"])),
-        first=[plot for plot in drawn if plot.key in FIRST_PLOTS],
+        notices=[*_notices(summary)],
+        first=[plot for plot in drawn if plot.key == "scene"],
         answers=(accuracy, [plot for plot in drawn if plot.key.startswith(ACCURACY)]),
         folded=list(_tables(summary)),
     )
@@ -87,11 +83,12 @@ def _system_tables(summary: Mapping[str, Any]) -> list[Table]:
     return [_facts("Slaves", slaves), _facts("Signals", delays)]
 
 
-def _notices(summary: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
+def _notices(summary: Mapping[str, Any]) -> Iterable[tuple[Literal["failed", "warned"], str, str]]:
     health = summary["health"]
-    completed = health["outcome"] == "completed"
-    if not completed:
-        yield "The simulation did not finish.", health["message"]
+    if health["outcome"] != "completed":
+        yield "failed", "The simulation did not finish.", health["message"]
+    elif reason := instability(health):
+        yield "failed", "The loop is unstable.", f"{reason[:1].upper()}{reason[1:]}."
     coarse = [
         f"{ALL_METRICS[each['metric']].label} {display(each['metric'], each['estimated_error'], digits=1)}"
         for each in health["warnings"]
@@ -99,14 +96,13 @@ def _notices(summary: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
     ]
     if coarse:
         yield (
+            "warned",
             f"The communication step of {health['communication_step']:g} s is too coarse for some metrics.",
             f"It leaves these uncertain by about: {'; '.join(coarse)}. A smaller `cosimulation.step` resolves them.",
         )
-    if completed and (reason := instability(health)):
-        yield "The loop is unstable.", f"{reason[:1].upper()}{reason[1:]}."
     if health["large_deflections"]:
         sentences = " ".join(f"{each[:1].upper()}{each[1:]}." for each in health["large_deflections"])
-        yield "Links deflect more than linear beam theory allows.", sentences
+        yield "warned", "Links deflect more than linear beam theory allows.", sentences
 
 
 def _tile(name: str, summary: Mapping[str, Any]) -> tuple[str, Sequence[str]]:

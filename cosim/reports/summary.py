@@ -309,11 +309,7 @@ def choice_summary(scene: Scene) -> dict[str, Any]:
         **({} if choice.verified is None else {"verified_error": named(choice.verified)}),
         "verified_in": choice.verified_in,
         "integrator_tolerance": scene.cosimulation.tolerance,
-        "effects": [
-            {name: getattr(each, name) for name in ("effect", "change", "chosen")}
-            | {"contribution": named(each.contribution)}
-            for each in choice.effects
-        ],
+        "effects": [each.model_dump() | {"contribution": named(each.contribution)} for each in choice.effects],
     }
 
 

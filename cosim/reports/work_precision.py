@@ -39,10 +39,8 @@ def points(trials: Sequence[WorkPrecisionTrial]) -> RealArray:
 
 def by_line(trials: Iterable[WorkPrecisionTrial]) -> dict[str, list[WorkPrecisionTrial]]:
     """Line → its trials, in their order."""
-    found: dict[str, list[WorkPrecisionTrial]] = {}
-    for each in trials:
-        found.setdefault(each.line, []).append(each)
-    return found
+    known = [*trials]
+    return {line: [each for each in known if each.line == line] for line in dict.fromkeys(each.line for each in known)}
 
 
 def fronts(trials: Sequence[WorkPrecisionTrial]) -> dict[str, list[WorkPrecisionTrial]]:

@@ -183,7 +183,7 @@ class TuneResult(Rows):
         ]
         tiles += [(row[0], [f"{row[1]} → {row[2]}"]) for row in keys.rows][: TILES - len(tiles)]
         frame = of_scene(self.scene)
-        return Page(f"{self.study.scene.name}, tuned", verdict, [self._plot()], [keys, figures], tiles, **frame).html
+        return Page(f"{self.study.scene.name}, tuned", [verdict], [self._plot()], [keys, figures], tiles, **frame).html
 
     def __repr__(self) -> str:
         """Return at most five lines."""

@@ -410,7 +410,7 @@ class Identification(Rows):
 
     def page(self) -> str:
         """The page: tables, measured and simulated signals, residuals and their spectra, as HTML."""
-        return Page(f"{self.name}, identified", " ".join(self.messages), [*self.plots()], [*self.tables()]).html
+        return Page(f"{self.name}, identified", [" ".join(self.messages)], [*self.plots()], [*self.tables()]).html
 
     def write(self, folder: str | os.PathLike[str]) -> Path:
         """Write identified.html, identified.json, and draws.csv for `flexfmu sweep --cases`, into a folder; return its path.

@@ -142,7 +142,7 @@ class MarginsResult(Rows):
         tiles = [(name, [text]) for name, text in zip(names, _texts(self.worst), strict=False)]
         frame = of_scene(self.scene) if isinstance(self.scene, Scene) else {}
         return Page(
-            f"Margins of {self.scene.name}", self.verdict, margin_plots(self.poses), [table], tiles, **frame
+            f"Margins of {self.scene.name}", [self.verdict], margin_plots(self.poses), [table], tiles, **frame
         ).html
 
     def row_units(self) -> Mapping[str, str]:

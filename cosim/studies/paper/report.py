@@ -136,7 +136,7 @@ class PaperReport:
             Table(title, (), rows) for title, rows in (("Wall-clock times", times), ("Versions", versions)) if rows
         ]
         title = "The paper's experiment, printed and computed"
-        return Page(title, self.summary(), tiles=[(name, [f"{n}"]) for name, n in tiles.items()][:TILES], **frame)
+        return Page(title, [self.summary()], tiles=[(name, [f"{n}"]) for name, n in tiles.items()][:TILES], **frame)
 
     def write(self, folder: Path) -> None:
         """Write what is known: page and JSON.

@@ -213,7 +213,7 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
         plots = [self._plot(name, numbers) for name in shown]
         frame = {"folded": []} if self.scene is None else of_scene(self.scene)
         frame["folded"] = [self.table(), *frame["folded"]]
-        page = Page(f"{self.name}: sweep", verdict or "No case has a value.", plots, tiles=tiles, **frame)
+        page = Page(f"{self.name}: sweep", [verdict or "No case has a value."], plots, tiles=tiles, **frame)
         if live:
             from flexfmu.cosim.exchange.live import swept_page  # which few sweeps need
 

@@ -86,7 +86,11 @@ def html(study: WorkPrecisionStudy) -> str:
             )
             tiles.append((label, [f"{1e3 * (best.time or 0.0):.3g} ms"]))
     return Page(
-        f"Work and precision: {study.scene.name}", sentence(study), plots, tiles=tiles[:TILES], **of_scene(study.scene)
+        f"Work and precision: {study.scene.name}",
+        [sentence(study)],
+        plots,
+        tiles=tiles[:TILES],
+        **of_scene(study.scene),
     ).html
 
 

@@ -49,7 +49,7 @@ def show(browser: Any, tmp_path: Path) -> Show:
     def shown(run: Run) -> Shown:
         plot = scene_plot(run.plan, robot_motion(run.plan, run.recording, run.robot))
         path = tmp_path / "page.html"
-        path.write_text(Page("page", "A robot.", [plot]).html, encoding="utf-8")
+        path.write_text(Page("page", ["A robot."], [plot]).html, encoding="utf-8")
         page = browser.new_page()
         page.goto(f"file://{path}")
         count, time, *points, links, extent, magnification = page.evaluate(MOTION)

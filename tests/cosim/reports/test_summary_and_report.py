@@ -179,7 +179,18 @@ def test_the_larger_of_both_joints_is_shown(make_run: MakeRun) -> None:
         assert other == "Tip deflection, larger of both links"
         assert torque == display("peak_torque_2", torques[1], 4)
         assert (torque.is_over, deflection.is_over) == (has_limit, False)
-        assert "while its links bend by up to 2 mm" in "".join(page.sentences)
+        assert "while its links bend by up to 2 mm" in "".join(page.verdict)
+
+
+def test_an_unstable_loop_is_the_alarm(make_run: MakeRun) -> None:
+    """Also where the communication step is too coarse, which is a warning."""
+    run = make_run()
+    summary = summarise(run, measure_run(run))
+    coarse = {"metric": "settling_time", "estimated_error": 1e-3, "message": ""}
+    summary["health"] |= {"unstable_loop": "joint1 grows", "warnings": [coarse]}
+    notices = re.findall(r'<div class="notice (\w+)"( role="alert")?><b>(.*?)</b>', report_page(summary, ()).html)
+    assert [each[:2] for each in notices] == [("failed", ' role="alert"'), ("warned", "")]
+    assert notices[0][2] == "The loop is unstable."
 
 
 @pytest.mark.parametrize(("share", "said"), [(0.009, 0), (0.011, 1)])
