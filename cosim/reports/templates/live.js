@@ -285,8 +285,8 @@
     if (chosen) page.choose(0);
   };
   // the state that the address has, and what of it can't be
-  const addressedState = () => {
-    refused = location.hash.slice(1).split("&").filter((part) => {
+  const addressedState = ({ hash }) => {
+    refused = hash.slice(1).split("&").filter((part) => {
       const [name, value] = part.split("="), slider = all.find((each) => each.name === name);
       if (name === "shaper" && simulations[+value] && page.choose) { page.choose(+value); return false; }
       if (!slider || slider.input.disabled || !isFinite(value) || !(slider === accuracy || value / slider.value > 0)) return part;
@@ -295,8 +295,9 @@
       return within !== +value;
     });
   };
-  addEventListener("hashchange", () => { recorded(); addressedState(); changed(); });
-  addressedState();
+  // of the event, for an earlier state may be in the address by now
+  addEventListener("hashchange", ({ newURL }) => { recorded(); addressedState(new URL(newURL)); changed(); });
+  addressedState(location);
   show(new Map(active().map((each) => [each.facts.place, usual(each)])), true);
   if (state.size || chosen || refused.length) changed(); else status.textContent = timed(active().map(usual), true);
   page.live = { usual: usual(simulations[0]), state, sliders };
