@@ -306,7 +306,7 @@ def _simulated(run: Run, *, is_exact: bool) -> dict[str, Any]:
         raise InputError("its motion repeats")
     if run.scene.cosimulation.step_control is not None:
         raise InputError("its communication steps are controlled")
-    motion, options = run.plan if _has_object(run) else None, _options(run)
+    motion, options = _own_motion(run), _options(run)
     try:
         prepared = PreparedScene(_tunable(run.scene), motion=motion, **options)
     except CosimError:  # a loop that only a delay of a sample breaks
@@ -345,9 +345,9 @@ def _tunable(scene: Scene) -> Scene:
     return scene.replace(longest)
 
 
-def _has_object(run: Run) -> bool:
-    """Whether the motion is that of an object, which the scene doesn't have."""
-    return bool(run.plan.source) and isinstance(run.scene.trajectory, TrajectorySection)
+def _own_motion(run: Run) -> MotionPlan | None:
+    """The motion, if it is that of an object, which the scene doesn't have."""
+    return run.plan if run.plan.source and isinstance(run.scene.trajectory, TrajectorySection) else None
 
 
 def _compiled(texts: Mapping[str, str], blocks: Sequence[BlockSlave]) -> bytes:
@@ -509,7 +509,7 @@ def _sliders(
     that as it was designed (``frozen``), and a copied scene has the robot's real values beside the assumed ones.
     """
     scene, known, found = run.scene, scene_values(run.scene), list[dict[str, Any]]()
-    motion = run.plan if _has_object(run) else None
+    motion = _own_motion(run)
     laws, own = usual = _loop(scene, {}, motion)
 
     def add(
@@ -639,7 +639,7 @@ def _copied(run: Run, prepared: PreparedScene) -> dict[str, Any]:
     if that can't be said."""
     scene, keys = run.scene, _robot_keys(run.scene)
     own = {name: value for name, value in run.parameters.items() if prepared.parts.changes.get(name) != value}
-    if scene.has_objects or _has_object(run) or own.keys() - keys.keys():
+    if scene.has_objects or _own_motion(run) or own.keys() - keys.keys():
         return {"scene": None, "origin": ""}
     changes: dict[str, Any] = {"cosimulation.step": run.communication_step, "cosimulation.tolerance": run.tolerance}
     if own:

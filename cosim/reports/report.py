@@ -145,10 +145,8 @@ def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> Iterator[str]
         yield figure("residual_vibration_amplitude", "{}, ")
         relative = {"least": "within the settling band", "limit": band, "is_relative": True}
         yield figure("residual_vibration_amplitude", "{} times the settling band", **relative)
-        panel, rms = (
-            next((plot.panels[0] for plot in plots if plot.key == "spectrum"), None),
-            metrics["residual_vibration_rms"],
-        )
+        panel = next((plot.panels[0] for plot in plots if plot.key == "spectrum"), None)
+        rms = metrics["residual_vibration_rms"]
         swings = 1e-6 * max((np.max(each.y, initial=0.0) for each in panel.curves), default=0.0) if panel else residual
         ringing = ""
         if rms is not None and rms > OFFSET * residual and swings < (1.0 - OFFSET) * residual:

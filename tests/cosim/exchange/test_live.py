@@ -193,6 +193,20 @@ COPIED: dict[str, dict[str, Any]] = {
 """Changes of the 6 kg scene whose copies are run."""
 
 
+@pytest.mark.slow
+def test_a_copied_command_has_the_chosen_effects(tmp_path: Path) -> None:
+    """Without the account of the choice, which is longer than all else."""
+    auto = {"gravity": [0.0, -9.81], "select": "auto", "tolerance": 0.05, "of": ["peak_torque_1"]}
+    path = write_changed("barnard2012-6kg", tmp_path / "auto.toml", {"effects": auto})
+    run = flexfmu.run(path)
+    settings = dict(live_run(run).facts["settings"])
+    assert "choice" not in settings["effects"]
+    copied, chosen = (
+        each.effects.model_dump(exclude={"choice"}) for each in (load_scene(path).replace(settings), run.scene)
+    )
+    assert copied == chosen
+
+
 @pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
 @pytest.mark.parametrize("name", COPIED)
 def test_copies_run_what_the_page_runs(name: str, tmp_path: Path) -> None:
