@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -283,8 +282,6 @@ class Judge:
             *tables, uses = self.journal.kept(key, Judged, lambda: self._judged(candidate))
             values, times = ({name: np.array(each) for name, each in table.items()} for table in tables)
             self.goals.judged[place] = Assessment(candidate, self.robots, values, times, uses)
-            # runs and their metrics refer to each other, and recordings are large
-            gc.collect()
         found: Assessment = self.goals.judged[place]
         return found
 

@@ -54,7 +54,6 @@ NO_SAG = 1e-12
 
 
 RICHER: Mapping[str, Mapping[str, Any]] = {
-    "planned model": {},
     "distal bending": {"effects.distal_bending": 3},
     "shear": {"effects.beam": "timoshenko"},
     "foreshortening": {"effects.foreshortening": True},
@@ -266,6 +265,7 @@ def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOW
             return journal.kept(("robustness", name, content), RobustnessLine, made)
         return RobustnessLine(name, nan, "", note=failures[0])
 
+    yield line("planned model", lambda name, _: _line(name, Judge(goals, journal=journal).assess(candidate)))
     models = [(name, changes, 1.0, 1.0) for name, changes in RICHER.items()]
     models += [(f"{RICHEST}{name}", richest, *factors) for name, factors in BANDS.items()]
     for name, changes, stiffness, damping in models:
@@ -290,10 +290,14 @@ def _assessed(
     name: str, fixed: Candidate, goals: Goals, changes: Mapping[str, Any], stiffness: float, damping: float
 ) -> RobustnessLine:
     """The line of another model of the robot."""
-    scene = goals.scene.replace({**changes}) if changes else goals.scene
+    scene = goals.scene.replace({**changes})
     judge = Judge(goals_of(Variation(scene.payload.mass, stiffness, damping).of(scene)), PAYLOADS)
     robot = {key: getattr(judge.goals.scene, key) for key in ("mechanism", "effects", "payload")}
-    found = judge.assess(replace(fixed, scene=fixed.scene.model_copy(update=robot)))
+    return _line(name, judge.assess(replace(fixed, scene=fixed.scene.model_copy(update=robot))))
+
+
+def _line(name: str, found: Assessment) -> RobustnessLine:
+    """What a motion needs in a model, worst over its robots."""
     worst = str(found.robots[int(found.values["residual"].argmax())])
     missed = tuple(use.name for use in found.missed)
     return RobustnessLine(name, found.residual, worst, found.torque_ratio, found.off_path, missed=missed)
