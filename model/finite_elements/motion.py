@@ -128,7 +128,7 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
         EquilibriumError: the start has no static equilibrium, or the iteration of a step doesn't converge.
     """
     x = equilibrium(robot, joints.evaluate(0.0, 0)[0, 0]).coordinates
-    v, a = np.zeros((2, x.size))
+    v, a, before = np.zeros(x.size), np.zeros((x.size, 3)), 1.0
     end, motors, wanted = list(robot.mesh.end), list(MOTORS), set(instants.tolist())
     factors, factors_step, recorded = None, 0.0, list[tuple[float, RealArray, RealArray, RealArray, RealArray]]()
     # intervals between instants and breakpoints; a breakpoint that equals an instant but for rounding is dropped
@@ -141,8 +141,10 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
         stages = start + h * (np.arange(count)[:, None] + METHOD.nodes)
         driven = joints.evaluate(stages.ravel(), 2, side="left").reshape(3, count, 3, 2)
         for n in range(count):
-            # predict with constant accelerations, prescribe the motors
-            x, v, a = x[:, None] + h * METHOD.nodes * v[:, None], v[:, None] + np.zeros(3), a[:, None] + np.zeros(3)
+            # predict: accelerations go on as the parabola of the step before; prescribe the motors
+            x, v = x[:, None] + h * METHOD.nodes * v[:, None], v[:, None] + np.zeros(3)
+            a = a @ np.linalg.solve(np.vander(METHOD.nodes, 3).T, np.vander(1.0 + h / before * METHOD.nodes, 3).T)
+            before = h
             x[HELD:] += h**2 * a[HELD:] @ METHOD.twice.T
             v[HELD:] += h * a[HELD:] @ METHOD.matrix.T
             x[motors], v[motors], a[motors] = driven[:, n].transpose(0, 2, 1)
@@ -166,8 +168,8 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
                     f"the finite elements' forces don't balance at {stages[n, -1]:.6g} s: take smaller steps than {h:.3g} s"
                 )
             # the last stage is the new state
-            x, v, a = x[:, -1], v[:, -1], a[:, -1]
+            x, v = x[:, -1], v[:, -1]
         if finish in wanted:
-            torque = robot.forces(*_columns(x, v, a))[motors, 0]
-            recorded.append((finish, x[end], v[end], a[end], torque))
+            torque = robot.forces(*_columns(x, v, a[:, -1]))[motors, 0]
+            recorded.append((finish, x[end], v[end], a[end, -1], torque))
     return ElementMotion(*(np.array(column) for column in zip(*recorded, strict=True)))

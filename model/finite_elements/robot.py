@@ -194,8 +194,13 @@ def _mapped(function: casadi.Function, index: Index, *states: RealArray) -> Real
     """Values of the function for all elements in all states, shape (S, results, E)."""
     count, elements = states[0].shape[1], len(index)
     columns = [z[index].transpose(1, 2, 0).reshape(COORDINATES, count * elements) for z in states]
-    result = function.map(count * elements)(*columns).full()
+    result = _repeated(function, count * elements)(*columns).full()
     return np.asarray(result.reshape(-1, count, elements).transpose(1, 0, 2))
+
+
+@lru_cache(maxsize=64)
+def _repeated(function: casadi.Function, count: int) -> casadi.Function:
+    return function.map(count)
 
 
 COORDINATES = 6

@@ -256,10 +256,13 @@ class Judge:
         goals: limits, bands and clearance.
         payloads: number of payloads within their band; None for `JUDGED`.
         journal: where assessments are kept.
+        step: communication step of the runs [s].
     """
 
-    def __init__(self, goals: Goals, payloads: int | None = None, journal: WorkJournal = NOWHERE) -> None:
-        self.goals, self.payloads, self.journal = goals, payloads or JUDGED, journal
+    def __init__(
+        self, goals: Goals, payloads: int | None = None, journal: WorkJournal = NOWHERE, step: float = STEP
+    ) -> None:
+        self.goals, self.payloads, self.journal, self.step = goals, payloads or JUDGED, journal, step
         # those of the way with most robots
         self.robots = max((each.variations(self.payloads) for each in goals.ways), key=len)
 
@@ -325,7 +328,7 @@ class Judge:
         if candidate.cycle:
             values, times = self._of_cycle(self.of_ways(candidate))
         else:
-            prepared, joints, needs = candidate.prepared(), candidate.joints, list[tuple[Values, Values]]()
+            prepared, joints, needs = candidate.prepared(self.step), candidate.joints, list[tuple[Values, Values]]()
             for each in self.robots:
                 run = completed(prepared.run(each.changes(self.goals.scene)), f"{candidate.label} with {each}")
                 needs.append(self._of_run(run))

@@ -126,6 +126,7 @@ class Goals:
         loop: the scene with the controllers that will follow the planned motion; None for motors that follow exactly.
         before: joint references of an earlier plan, of each way, from which optimal control goes on first.
         cycle: the goals of each way of a cycle; empty for a single motion. The goals of a cycle have the scene of its first way.
+        regions: where the end effector may go, of another model of the same robot; None for what follows from the wishes.
         judged: what judges of these goals have found, so that none runs a motion again: by number of robots and motion.
     """
 
@@ -138,6 +139,7 @@ class Goals:
     loop: Scene | None = None
     before: tuple[Trajectory, ...] = ()
     cycle: tuple[Goals, ...] = ()
+    regions: Clearance | None = None
     judged: dict[tuple[int, Any], Any] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @property
@@ -162,6 +164,8 @@ class Goals:
     def clearance(self) -> Clearance:
         """Where the end effector may go: outside of regions that the scene names, or where its own motion goes."""
         wishes, scene = self.wishes, self.scene
+        if self.regions is not None:
+            return self.regions
         if wishes.keep_out is not None:
             regions = [Polygon.of(each.outline) for each in wishes.keep_out]
             linked = tuple(region for region, each in zip(regions, wishes.keep_out, strict=True) if each.links)

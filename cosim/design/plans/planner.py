@@ -72,8 +72,8 @@ BANDS = {
 }
 """Robots within and beyond the payload band → factors of stiffness and damping, in the richest model."""
 
-PAYLOADS = 7
-"""Payloads within the band for each model."""
+PAYLOADS, MODEL_STEP = 7, 4e-4
+"""Payloads within the band for each model, and communication step of its runs [s]: six digits are those of half the step."""
 
 ELEMENTS, ELEMENT_STEP, ELEMENT_DWELL = 4, 4e-4, 0.06
 """Elements of a link, step [s], and standstill after the motion [s] of the finite elements."""
@@ -291,7 +291,8 @@ def _assessed(
 ) -> RobustnessLine:
     """The line of another model of the robot."""
     scene = goals.scene.replace({**changes})
-    judge = Judge(goals_of(Variation(scene.payload.mass, stiffness, damping).of(scene)), PAYLOADS)
+    of_model = goals_of(Variation(scene.payload.mass, stiffness, damping).of(scene))
+    judge = Judge(replace(of_model, regions=goals.clearance), PAYLOADS, step=MODEL_STEP)
     robot = {key: getattr(judge.goals.scene, key) for key in ("mechanism", "effects", "payload")}
     return _line(name, judge.assess(replace(fixed, scene=fixed.scene.model_copy(update=robot))))
 
