@@ -22,12 +22,12 @@ def run(*command: object, seconds: float = 600.0) -> str:
 
 
 def object_files(folder: Path, sources: Iterable[Path], *flags: str) -> list[Path]:
-    """Object files of C sources, compiled side by side in ``folder``; tests share those whose preprocessed text and flags, apart from
-    folders, are equal."""
+    """Object files of C sources, compiled side by side in ``folder``; tests share those whose preprocessed text and flags for the compiler
+    alone are equal."""
 
     def compile_one(source: Path) -> Path:
         text = run(COMPILER, *flags, "-E", "-P", source)
-        options = [flag for flag in flags if not flag.startswith("-I")]
+        options = [flag for flag in flags if not flag.startswith(("-I", "-D"))]
         name = hashlib.sha256("\0".join([COMPILER, *options, text]).encode()).hexdigest()
         kept = Path(os.environ["FLEXFMU_CACHE"]) / "test-objects" / f"{name}.o"
         if not kept.exists():

@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import pairwise
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -134,9 +133,8 @@ def tabulate(speed: Callable[[RealArray], RealArray], end: float) -> ArcLengthTa
     Raises:
         TrajectoryError: the curve is so elongated that the series do not converge on `MOST_PANELS` panels.
     """
-    edges = _panels(speed, end)
-    # the speed's series on every panel, integrated from the panel's start
-    speeds = np.stack([_expansion(speed, a, b) for a, b in pairwise(edges)], axis=1)
+    edges, speeds = _panels(speed, end)
+    # integrated from the panel's start
     lengths = legendre.legint(speeds, lbnd=-1.0) * (0.5 * np.diff(edges))
     starts = np.concatenate([[0.0], np.cumsum(lengths.sum(axis=0))])  # every Legendre polynomial is 1 at the end
     # a piecewise cubic u(s) through points on every panel, with exact slopes, as the first guess of the inverse
@@ -149,27 +147,25 @@ def tabulate(speed: Callable[[RealArray], RealArray], end: float) -> ArcLengthTa
     return ArcLengthTable(edges, starts, speeds, lengths, guess)
 
 
-def _panels(speed: Callable[[RealArray], RealArray], end: float) -> RealArray:
-    """Return the edges (P + 1,) of panels on which the series of the speed converges, found by bisection."""
+def _panels(speed: Callable[[RealArray], RealArray], end: float) -> tuple[RealArray, RealArray]:
+    """Return the edges (P + 1,) of panels on which the series of the speed converges, found by bisection, and these series (NODES, P)."""
     # from left to right, so that the edges ascend
-    waiting, edges = [(0.0, end)], [0.0]
+    waiting, edges, found = [(0.0, end)], [0.0], list[RealArray]()
     rounding = ROUNDING * float(np.max(speed(np.linspace(0.0, end, 8 * NODES))))
     while waiting:
         # small last coefficients: the series has converged
         a, b = waiting.pop()
-        size = np.abs(_expansion(speed, a, b))
+        # by values at Gauss points
+        series = np.asarray(_PROJECTION @ speed(0.5 * (a + b) + 0.5 * (b - a) * _POINTS))
+        size = np.abs(series)
         if np.sum(size[-2:]) <= max(TAIL * np.max(size), rounding):
             edges.append(b)
+            found.append(series)
         else:
             waiting += [(0.5 * (a + b), b), (a, 0.5 * (a + b))]
         if len(waiting) + len(edges) > MOST_PANELS:
             raise TrajectoryError("a blend is too elongated for its arc length to be resolved; bring e/d nearer to 1")
-    return np.array(edges)
-
-
-def _expansion(speed: Callable[[RealArray], RealArray], a: float, b: float) -> RealArray:
-    """Legendre coefficients of the speed between a and b, shape (NODES,), by values at Gauss points."""
-    return np.asarray(_PROJECTION @ speed(0.5 * (a + b) + 0.5 * (b - a) * _POINTS))
+    return np.array(edges), np.stack(found, axis=1)
 
 
 Side: TypeAlias = Literal["left", "right"]

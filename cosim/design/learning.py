@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import atan, ceil, isfinite, log, pi
 from typing import Any
 
@@ -18,7 +18,13 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.cosim.control.controllers.iterative_learning import LONGEST_RESPONSE, PROBE, law_of, samples_in_a_cycle
+from flexfmu.cosim.control.controllers.iterative_learning import (
+    LONGEST_RESPONSE,
+    PROBE,
+    LearningLaw,
+    law_of,
+    samples_in_a_cycle,
+)
 from flexfmu.cosim.design.margins.linear_blocks import LinearBlock
 from flexfmu.cosim.design.margins.linear_loop import Continuous, LinearLoop
 from flexfmu.cosim.design.margins.scene_loop import WiredLoop
@@ -99,6 +105,11 @@ class LearningLoop:
         self.payload = self._wired.payload
         self.cycles = [samples_in_a_cycle(period, each.sample_time) for each in scene.learners]
 
+    @cached_property
+    def _laws(self) -> list[tuple[LearningLaw, tuple[float, float]]]:
+        """The law of each controller that learns, and its gains; errors as of `law_of`."""
+        return [law_of(section, cycle) for section, cycle in zip(self.scene.learners, self.cycles, strict=True)]
+
     def response(self, place: float, learner: int = 0, payload: float | None = None) -> RealArray:
         """Angles (M, 2, 2) [rad] that a controller measures in the samples after a torque of 1 N.m of one sample.
 
@@ -145,8 +156,8 @@ class LearningLoop:
         Where several controllers learn, what they learn adds up, and the weight of their torques is the largest one.
         """
         kept, learned, frequency = np.zeros(1), np.zeros(1, complex), np.zeros(1)
-        for i, (section, cycle) in enumerate(zip(self.scene.learners, self.cycles, strict=True)):
-            (law, gain), response = law_of(section, cycle), self.response(place, i, payload)
+        for i, (section, (law, gain)) in enumerate(zip(self.scene.learners, self._laws, strict=True)):
+            response = self.response(place, i, payload)
             torque, error, frequency = law.effects(response, place, np.array(gain), section.sample_time)
             kept, learned = np.fmax(kept, abs(torque)), learned + error
         return np.asarray(

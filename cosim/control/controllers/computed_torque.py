@@ -141,7 +141,9 @@ def mean_torques(
     before, count = ceil(offset / sample_time), max(1, ceil((stop_time - offset) / sample_time))
     total, parts = SHARED * ceil((before + count) / SHARED), ceil(sample_time / STEP)
     duration, start = total * sample_time, joints.evaluate(0.0, 0, "left")[0, 0]
-    response = ElasticResponse([RobotVariant(scene)], start, total * parts, shared=SHARED)
+    # a robot's functions are kept, and serve every loop around it
+    robot = RobotVariant(scene.replace({"controller": [], "imperfection": []}))
+    response = ElasticResponse([robot], start, total * parts, shared=SHARED)
     instants = offset - before * sample_time + duration * response.fractions
     # the motors rest before and after the motion
     references = joints.evaluate(np.clip(instants, 0.0, joints.duration), 2, "left")

@@ -252,13 +252,25 @@ def polynomial(shape: tuple[float, ...]) -> tuple[float, ...]:
 
     It is at rest with zero acceleration at both ends; without a shape it is the polynomial of fifth degree.
     """
-    waves = np.polynomial.Legendre([1.0, *shape], domain=[0.0, 1.0]).convert(kind=np.polynomial.Polynomial)
-    law: RealArray = np.array((waves * np.polynomial.Polynomial([0.0, 0.0, 1.0, -2.0, 1.0])).integ().coef)
+    law: RealArray = _laws(len(shape)) @ [1.0, *shape]
     law /= law.sum()
     # large coefficients of both signs leave rounding errors of the end, which small ones take back
     place, slope = fsum(law) - 1.0, fsum(law * np.arange(len(law)))
     law[2:4] += [slope - 3.0 * place, 2.0 * place - slope]
     return tuple(law.tolist())
+
+
+@lru_cache
+def _laws(count: int) -> RealArray:
+    """Coefficients (count + 6, count + 1) of the integrals of (η(1 - η))² P_k(2η - 1) for k = 0 to ``count``."""
+    found = np.zeros((count + 6, count + 1))
+    for k in range(count + 1):
+        wave = np.polynomial.Legendre.basis(k, domain=[0.0, 1.0]).convert(kind=np.polynomial.Polynomial)
+        # its coefficients are integers
+        exact = np.polynomial.Polynomial([round(each) for each in wave.coef.tolist()])
+        law = (exact * np.polynomial.Polynomial([0.0, 0.0, 1.0, -2.0, 1.0])).integ().coef
+        found[: len(law), k] = law
+    return found
 
 
 @lru_cache(maxsize=16)

@@ -156,9 +156,10 @@ def test_motions_are_within_limits_for_any_number_of_processes(
     goals: Goals, given: Assessment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small(monkeypatch)
-    motions, others = (list(search(Judge(goals, 3), [given], processes, silent)) for processes in (1, 2))
-    assert [each.label for each in motions] == [each.label for each in others]
-    assert [each.scene for each in motions] == [each.scene for each in others]
+    motions = list(search(Judge(goals, 3), [given], 1, silent))
+    # all that follows the first motion is made of it in this process
+    (other,) = islice(search(Judge(goals, 3), [given], 2, silent), 1)
+    assert (other.label, other.scene) == (motions[0].label, motions[0].scene)
     judged = [Judge(goals, 3).assess(each) for each in motions]
     assert any(each.feasible and each.time < 0.8 * SCENE.trajectory.duration for each in judged)
 
