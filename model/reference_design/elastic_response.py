@@ -127,7 +127,7 @@ class ElasticResponse:
         shared = math.gcd(steps, shared)
         self.starts = [model.rest(start) for model in self.models]
         pairs = zip(self.models, self.starts, strict=True)
-        self._parts = [_Integration(model, rest, steps, accuracy, shared) for model, rest in pairs]
+        self._parts = [_Integration(*each, steps, accuracy, shared) for each in pairs]
 
     def of_motion(self, motion: DesignedMotion, *, derivatives: bool = True) -> Response:
         """The response to a motion from rest to rest, with derivatives by its variables.

@@ -254,15 +254,15 @@ class Judge:
 
     Args:
         goals: limits, bands and clearance.
-        payloads: number of payloads within their band; None for `JUDGED`.
+        payloads: number of payloads within their band.
         journal: where assessments are kept.
         step: communication step of the runs [s].
     """
 
     def __init__(
-        self, goals: Goals, payloads: int | None = None, journal: WorkJournal = NOWHERE, step: float = STEP
+        self, goals: Goals, payloads: int = JUDGED, journal: WorkJournal = NOWHERE, step: float = STEP
     ) -> None:
-        self.goals, self.payloads, self.journal, self.step = goals, payloads or JUDGED, journal, step
+        self.goals, self.payloads, self.journal, self.step = goals, payloads, journal, step
         # those of the way with most robots
         self.robots = max((each.variations(self.payloads) for each in goals.ways), key=len)
 

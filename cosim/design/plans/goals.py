@@ -239,8 +239,7 @@ class Goals:
     def ends(self) -> RealArray:
         """Joint angles (2, 2) [rad] at the start and at the end of the given motion."""
         motion = self.given.once
-        found: RealArray = motion.joints.evaluate([0.0, motion.duration], 0, "left")[0]
-        return found
+        return np.asarray(motion.joints.evaluate([0.0, motion.duration], 0, "left")[0])
 
     @property
     def rest(self) -> float:
@@ -251,9 +250,9 @@ class Goals:
     def drives(self) -> Drives | None:
         """The motors; None if the scene has none."""
         motor = self.scene.motor
-        if motor is None:
-            return None
-        return Drives((motor.of_joint(0), motor.of_joint(1)), self.scene.effects.motor_inertia)
+        return (
+            None if motor is None else Drives((motor.of_joint(0), motor.of_joint(1)), self.scene.effects.motor_inertia)
+        )
 
     @cached_property
     def band(self) -> tuple[float, float]:

@@ -124,8 +124,7 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
     whole = cache(lambda: limited(goals, found[0], motions))
 
     def refined(key: str | float, splines: Sequence[JointSpline], loose: float = 0.0) -> Refined[JointSpline]:
-        problem = whole().begun(splines, loose=loose)
-        return improver.refined(("optimal", key), problem, gives_back=key != "before")
+        return improver.refined(("optimal", key), whole().begun(splines, loose=loose), gives_back=key != "before")
 
     def from_start_to_start() -> Iterator[Candidate | str]:
         # near the best motions, if places and payloads have moved little

@@ -255,14 +255,13 @@ def robustness(candidate: Candidate, goals: Goals, *, journal: WorkJournal = NOW
     families = ("proximal_bending", "proximal_axial", "distal_bending", "distal_axial")
     richest: dict[str, Any] = {key: value for changes in RICHER.values() for key, value in changes.items()}
     richest |= {f"effects.{key}": max(3, getattr(effects, key)) for key in families}
-    content = fixed.content
 
     def line(name: str, judged: Callable[..., RobustnessLine], *arguments: Any) -> RobustnessLine:
         # or that there is none and why
         failures = list[str]()
         with noted(failures):
             made = partial(judged, name, fixed, *arguments)
-            return journal.kept(("robustness", name, content), RobustnessLine, made)
+            return journal.kept(("robustness", name, fixed.content), RobustnessLine, made)
         return RobustnessLine(name, nan, "", note=failures[0])
 
     yield line("planned model", lambda name, _: _line(name, Judge(goals, journal=journal).assess(candidate)))

@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial, reduce
+from itertools import zip_longest
 from math import fsum, log
 from typing import Any
 
@@ -263,14 +264,9 @@ def polynomial(shape: tuple[float, ...]) -> tuple[float, ...]:
 @lru_cache
 def _laws(count: int) -> RealArray:
     """Coefficients (count + 6, count + 1) of the integrals of (η(1 - η))² P_k(2η - 1) for k = 0 to ``count``."""
-    found = np.zeros((count + 6, count + 1))
-    for k in range(count + 1):
-        wave = np.polynomial.Legendre.basis(k, domain=[0.0, 1.0]).convert(kind=np.polynomial.Polynomial)
-        # its coefficients are integers
-        exact = np.polynomial.Polynomial([round(each) for each in wave.coef.tolist()])
-        law = (exact * np.polynomial.Polynomial([0.0, 0.0, 1.0, -2.0, 1.0])).integ().coef
-        found[: len(law), k] = law
-    return found
+    ends = np.polynomial.Polynomial([0.0, 0.0, 1.0, -2.0, 1.0])
+    waves = [np.polynomial.Legendre.basis(k, domain=[0.0, 1.0]).convert(kind=type(ends)) for k in range(count + 1)]
+    return np.array([*zip_longest(*((wave * ends).integ().coef for wave in waves), fillvalue=0.0)])
 
 
 @lru_cache(maxsize=16)
