@@ -249,10 +249,8 @@ class Goals:
     @property
     def drives(self) -> Drives | None:
         """The motors; None if the scene has none."""
-        motor = self.scene.motor
-        return (
-            None if motor is None else Drives((motor.of_joint(0), motor.of_joint(1)), self.scene.effects.motor_inertia)
-        )
+        motor, inertia = self.scene.motor, self.scene.effects.motor_inertia
+        return None if motor is None else Drives((motor.of_joint(0), motor.of_joint(1)), inertia)
 
     @cached_property
     def band(self) -> tuple[float, float]:
