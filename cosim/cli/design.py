@@ -624,6 +624,8 @@ def plan(
         raise InputError(
             f"--{next(iter(drive))} belongs to --export: name its file, --export drive.csv, or leave it out"
         )
+    if unit is not None and counts is not None:
+        raise InputError(f"--counts {counts:g} gives whole counts, --unit {unit} gives angles in {unit}: leave one out")
     sampling: dict[str, Any] = {"rate": 4000.0, "unit": "rad", "counts": None, **drive}
     check_drive(**sampling)
     if live:

@@ -51,7 +51,8 @@ JUDGED = 25
 """Payloads of the band for which every motion is judged."""
 
 STEPS, CYCLES = 300, 100
-"""Steps of the integration that tells what a way leaves in the next, and cycles after which vibration that grows is judged."""
+"""Steps of the integration that tells what a way leaves in the next, as many as samples of a drive's table if these are more, and cycles after
+which vibration that grows is judged."""
 
 SAMPLES = 65
 """Instants at which references are compared with those in a journal."""
@@ -427,7 +428,7 @@ def _left_vibration(goals: Goals, ways: Sequence[Assessment], cases: Sequence[ND
     for of_way, way in zip(goals.ways, ways, strict=True):
         motion, robots = way.candidate.joints, [each.robot(of_way.scene) for each in way.robots]
         first, last = motion.evaluate([0.0, motion.duration], 0, "right")[0]
-        response = ElasticResponse(robots, first, STEPS)
+        response = ElasticResponse(robots, first, max(STEPS, len(motion.breakpoints) - 1))
         references = np.hstack(list(motion.evaluate(response.fractions * motion.duration, 2, "left")))
         starts.append(response.starts)
         ends.append(ResidualVibration(response.models, last))

@@ -263,7 +263,7 @@ class Goals:
         return np.full_like(usual, NO_LIMIT) if found is None else found.resolved(usual)
 
     def variations(self, payloads: int) -> tuple[Variation, ...]:
-        """Robots within the bands: a number of payloads, and the corners of the bands of stiffness and damping."""
+        """Robots within the bands: a number of payloads at the middle and at each corner of the bands of stiffness and damping."""
         return tuple(dict.fromkeys(self._variations(payloads)))
 
     def cases(self, payloads: int) -> list[tuple[Variation, ...]]:
@@ -272,11 +272,9 @@ class Goals:
         return list(zip(*dict.fromkeys(every), strict=True))
 
     def _variations(self, payloads: int) -> Iterator[Variation]:
-        low, high = self.band
-        yield from map(Variation, np.linspace(low, high, payloads).tolist())
         bands = self.wishes.stiffness_band, self.wishes.damping_band
-        corners = product((low, 0.5 * (low + high), high), *((1 - x, 1.0, 1 + x) if x else (1.0,) for x in bands))
-        yield from (Variation(*each) for each in corners if each[1:] != (1.0, 1.0))
+        corners = product(*((1.0, 1 - x, 1 + x) if x else (1.0,) for x in bands))
+        yield from (Variation(mass, *each) for each in corners for mass in np.linspace(*self.band, payloads).tolist())
 
 
 def payload_band(scene: Scene, wishes: PlanSection) -> tuple[float, float]:
@@ -393,8 +391,8 @@ def judged_scene(scene: Scene, wishes: PlanSection) -> Scene:
 
 
 def peak_rates(joints: Trajectory) -> RealArray:
-    """Largest speed, acceleration and jerk of a joint (3,) [rad/s ...], among `INSTANTS`."""
-    times = np.linspace(0.0, joints.duration, INSTANTS)
+    """Largest speed, acceleration and jerk of a joint (3,) [rad/s ...], among `INSTANTS` and the breakpoints."""
+    times = np.union1d(np.linspace(0.0, joints.duration, INSTANTS), joints.breakpoints)
     return np.asarray(np.abs(joints.evaluate(times, 3, "left")[1:]).max(axis=(1, 2)))
 
 

@@ -276,8 +276,8 @@ def _front(
     for number, shares in enumerate(grid):
         factors = {name: natural[name] * share for name, share in zip(axes, shares, strict=True)}
         excess = {name: 1.0 / factor for name, factor in factors.items()}
-        text = ", ".join(f"{name} {100.0 * share:.3g} %" for name, share in zip(axes, shares, strict=True))
-        level = replace(improver, made=partial(_candidate, goals, f"front: {text}"), near=NEAR_FRONT, tries=2)
+        label = f"front, {number + 1} of {len(grid)}"
+        level = replace(improver, made=partial(_candidate, goals, label), near=NEAR_FRONT, tries=2)
         if last is None:
             motions, starts, loose = [way.start for way in units.ways], _shares(goals, given), optimal_control.LOOSE
         else:
@@ -384,9 +384,10 @@ def fuller_scene(scene: Scene) -> Scene | None:
 
 
 def nodes_of(variations: Sequence[Variation], count: int) -> list[int]:
-    """Indices of a number of payloads, and of all robots with other stiffness or damping."""
+    """Indices of a number of payloads, and of three for each other stiffness or damping."""
     payloads = sum(each.stiffness == each.damping == 1.0 for each in variations)
-    return [*optimal_control.spread(payloads, min(count, payloads)), *range(payloads, len(variations))]
+    first, others = (optimal_control.spread(payloads, min(n, payloads)) for n in (count, 3))
+    return [*first, *(k + n for k in range(payloads, len(variations), payloads) for n in others)]
 
 
 def limited(goals: Goals, given: Assessment, of_ways: Sequence[Robots]) -> MotionProblem:

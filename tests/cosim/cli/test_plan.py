@@ -115,6 +115,7 @@ def test_what_no_motion_reaches_is_a_sentence_and_status_1(tmp_path: Path) -> No
         (("--limit", "torque=0.1x"), "against gravity"),
         (("--counts", "1048576"), "--counts belongs to --export"),
         (("--rate", "4000"), "--rate belongs to --export"),
+        (("--export", "drive.csv", "--unit", "turn", "--counts", "4096"), "leave one out"),
         (("--export", "drive.txt"), "a drive's table ends in .csv, got drive.txt"),
         (("--export", "/dev/null/drive.csv"), "a drive's table can't be written"),
         (("--output", "/dev/null/planned.toml"), "a scene file can't be written"),

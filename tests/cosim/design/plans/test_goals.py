@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from flexfmu.cosim.design.limits import Limit
 from flexfmu.cosim.design.plans.assessment import Candidate, Judge
 from flexfmu.cosim.design.plans.clearance import Clearance, Polygon, clearance_of_trace
 from flexfmu.cosim.design.plans.goals import LEAST_DWELL, checked_goals, goals_of
+from flexfmu.cosim.design.plans.optimal import nodes_of
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene.errors import SceneError
@@ -102,6 +104,10 @@ def test_bands_hold_their_ends(payload: float, stiffness: float, damping: float)
     assert (min(each.payload for each in robots), max(each.payload for each in robots)) == (low, high)
     assert {each.stiffness for each in robots} == ({1.0, 1 - stiffness, 1 + stiffness} if stiffness else {1.0})
     assert {each.damping for each in robots} == ({1.0, 1 - damping, 1 + damping} if damping else {1.0})
+    # the programmes have all corners, with three payloads
+    nodes = Counter((robots[k].stiffness, robots[k].damping) for k in nodes_of(robots, 4))
+    assert nodes.keys() == {(each.stiffness, each.damping) for each in robots}
+    assert all(count == (4 if corner == (1.0, 1.0) else 3) or not payload for corner, count in nodes.items())
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,22 @@ FEW = {"effects.proximal_bending": 1, "effects.distal_axial": 1}
 FREE = {"plan.limits.power": "free", "plan.limits.rms_torque": "free"}
 SCENE = load_scene("barnard2012-6kg").replace(FEW | FREE)
 GOALS = goals_of(SCENE)
+STEEL = Path(__file__).parents[4] / "examples" / "steel.toml"
 SPLINE = fitted(GOALS.given.joints, 28)
+
+
+@pytest.mark.slow
+def test_no_robot_within_the_bands_leaves_more_than_is_said() -> None:
+    """Of 60 drawn ones, with a shaper whose residual vibration changes fast with payload, stiffness and damping."""
+    bands = {"plan.stiffness_band": 0.05, "plan.damping_band": 0.3, "trajectory.duration": 0.25}
+    goals, random = goals_of(load_scene(STEEL).replace(bands)), np.random.default_rng(1)
+    judge, zv = Judge(goals), {"kind": "zv", "apply": "joints"}
+    said = judge.assess(candidate := Candidate("ZV", "csv", goals.scene.replace({"shaper": [zv]}))).residual
+    low, high = zip(goals.band, (0.95, 1.05), (0.7, 1.3), strict=True)
+    prepared = candidate.prepared()
+    for each in random.uniform(low, high, (60, 3)).tolist():
+        run = prepared.run(Variation(*each).changes(goals.scene))
+        assert float(run.metrics["residual_vibration_amplitude"]) < 1.005 * said
 
 
 def stretched(factor: float) -> Candidate:
