@@ -40,7 +40,6 @@ from flexfmu.cosim.experiment.run_checks import (
     GROWTH_AT_REST,
     LASTING,
     ON_THE_MOVE,
-    usual_speed,
 )
 from flexfmu.cosim.experiment.run_options import SceneOptions
 from flexfmu.cosim.experiment.scene_loop import loop_of
@@ -505,8 +504,8 @@ def _sliders(
     """Keys of the scene that a page may change: of the robot, but for lengths, which the motion is planned for, of the loop, the duration.
 
     A key of the loop is one that changes nothing but parameters of blocks, each by a power of the key's value; so is the duration if
-    nothing but references depends on it. Where more than the robot itself depends on its parameters, a shaper for example, the page keeps
-    that as it was designed (``frozen``), and a copied scene has the robot's real values beside the assumed ones.
+    nothing but references depends on it. Where more than the robot itself depends on its parameters, a shaper for example, or the shapes of
+    its links do, the page keeps that as it was designed (``frozen``), and a copied scene has the robot's real values beside the assumed ones.
     """
     scene, known, found = run.scene, scene_values(run.scene), list[dict[str, Any]]()
     motion = _own_motion(run)
@@ -530,11 +529,13 @@ def _sliders(
     designed = bool(scene.shaper or run.plan.design or run.parameters or prepared.parts.unfed)
     if not designed and (scene.controller or scene.imperfection):
         designed = _loop(scene, {key: 1.01 * starts[name] for name, key in robot.items()}, motion) != usual
+    # shapes of Timoshenko's beams are those of the scene's slenderness
+    slender = ("diameter", "poissons_ratio") if scene.effects.beam == "timoshenko" else ()
     for name, key in robot.items():
         value, assumed = starts[name], known[name].value
         label = name if value == assumed else f"{name} (the scene has {assumed:g})"
         unit = shown_unit(variables[name].get("unit", ""))
-        add(name, key, value, unit, [(name, value, 1)], label=label, frozen=designed)
+        add(name, key, value, unit, [(name, value, 1)], label=label, frozen=designed or key.endswith(slender))
     # the loop
     for name, key, value in _numbers(scene.model_dump(mode="json", exclude_none=True)):
         # half the value halves what is proportional to it, to the last bit
@@ -655,6 +656,8 @@ def _copied(run: Run, prepared: PreparedScene) -> dict[str, Any]:
     with suppress(SceneError), warnings.catch_warnings():
         warnings.simplefilter("ignore", SceneWarning)
         before = load_scene(scene.origin).model_dump(mode="json", exclude_none=True)
+        if "select" in before["effects"]:  # which fills in the tolerance
+            del before["cosimulation"]["tolerance"]
     for name, value in whole.items():
         known = before.get(name)
         if isinstance(value, dict) and isinstance(known, dict) and known.keys() <= value.keys():
@@ -668,17 +671,18 @@ def _copied(run: Run, prepared: PreparedScene) -> dict[str, Any]:
 
 
 def _divergence(run: Run) -> dict[str, float]:
-    """From which velocity errors of its joints on a loop is unstable, see `divergence`; empty without a loop."""
+    """Largest velocity of the motion [rad/s], and from which errors of its joints on a loop is unstable, see `divergence`; empty without a loop."""
     if run.scene.cosimulation.drive != "torque" or not run.scene.controller:
         return {}
-    speed = usual_speed(run)
-    sizes = {
-        "beyond": BEYOND * speed,
-        "beforeFailure": BEYOND_BEFORE_FAILURE * speed,
-        "atRest": AT_REST * speed,
-        "onTheMove": ON_THE_MOVE * speed,
+    return {
+        "speed": run.plan.top_speed,
+        "beyond": BEYOND,
+        "beforeFailure": BEYOND_BEFORE_FAILURE,
+        "atRest": AT_REST,
+        "onTheMove": ON_THE_MOVE,
+        "growth": GROWTH_AT_REST,
+        "lasting": LASTING,
     }
-    return sizes | {"growth": GROWTH_AT_REST, "lasting": LASTING}
 
 
 def _knots(trajectory: Trajectory) -> tuple[RealArray, RealArray]:

@@ -90,7 +90,7 @@
     const moved = [...state.keys()], isMoved = moved.some((each) => each.targets?.length && "frozen" in each), [{ facts: { fixed } }] = active();
     remarks.textContent = [
       fixed && `The duration stays as recorded: ${fixed}.`,
-      active().some((simulation) => simulation.facts.sliders.some((each) => each.frozen && each.name in valuesOf(simulation))) && "Shapers and controllers stay as they were designed, for the recorded robot; copies say so by an imperfection, parameter-error.",
+      active().some((simulation) => simulation.facts.sliders.some((each) => each.frozen && each.name in valuesOf(simulation))) && "Shapers, controllers and shapes of Timoshenko beams stay as they were designed, for the recorded robot; copies say so by an imperfection, parameter-error.",
       isMoved && spectra.some(({ marks }) => marks.length) && "Natural frequencies of the changed robot aren't known: the spectrum shows none.",
     ].filter(Boolean).join(" ");
     return isMoved;

@@ -353,13 +353,14 @@ class Result {
   }
   /** Whether the loop is unstable: the joints' velocities are far off, or their errors grow or stay in the dwell (run_checks.py). */
   get isUnstable() {
-    const { beyond, beforeFailure, atRest, onTheMove, growth, lasting } = this.simulation.facts.divergence, { time, size, duration } = this;
+    const { speed, beyond, beforeFailure, atRest, onTheMove, growth, lasting } = this.simulation.facts.divergence, { time, size, duration, starts } = this;
     if (!beyond) return false;
+    const fall = Math.sqrt(Math.hypot(starts["gravity.x"] ?? 0, starts["gravity.y"] ?? 0) / starts["proximal.length"]), usual = Math.max(speed / this.stretch, fall);
     const pairs = ["joint1.", "joint2."].map((name) => [this.signal(`${name}velocity`), this.signal(`${name}reference.velocity`)]).filter((pair) => pair[0] && pair[1]);
     const thirds = [0, 0, 0], span = time[size - 1] - duration;
     let largest = 0;
     for (let i = 0; i < size; i++) {
-      const error = Math.max(...pairs.map(([one, other]) => Math.abs(one[i] - other[i]))), third = Math.floor((3 * (time[i] - duration)) / span);
+      const error = Math.max(...pairs.map(([one, other]) => Math.abs(one[i] - other[i]))) / usual, third = Math.floor((3 * (time[i] - duration)) / span);
       largest = Math.max(largest, error);
       if (third >= 0) thirds[Math.min(third, 2)] = Math.max(thirds[Math.min(third, 2)], error);
     }

@@ -23,8 +23,10 @@ import pytest
 from command_line import flexfmu as run_command
 
 import flexfmu
+from flexfmu.cosim.cli.console import load_changed
 from flexfmu.cosim.design.scene_files import write_changed
 from flexfmu.cosim.exchange.live import live_run, simulating
+from flexfmu.cosim.experiment.run_checks import divergence
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import OF_BOTH, definition, display
@@ -49,7 +51,7 @@ const bytes = (values) => Buffer.from(Float64Array.from(values).buffer).toString
 const found = asked.map(({ values, ...options }) => {
   const run = simulation.run(values ? simulation.options(values) : options), signals = {};
   for (const [name, [, rows]] of Object.entries(simulation.facts.rows)) signals[name] = rows.map((_, order) => bytes(run.signal(name, order)));
-  return { time: bytes(run.time), signals, metrics: run.metrics, failure: run.failure, command: simulation.command(values ?? {}), scene: simulation.facts.scene && simulation.scene(values ?? {}) };
+  return { time: bytes(run.time), signals, metrics: run.metrics, failure: run.failure, state: run.state, command: simulation.command(values ?? {}), scene: simulation.facts.scene && simulation.scene(values ?? {}) };
 });
 console.log(JSON.stringify(found));
 """
@@ -168,6 +170,17 @@ COPIED: dict[str, dict[str, Any]] = {
         "trajectory.profile": {"kind": "bang-bang"},
     },
     "shaper": {"shaper": [{"kind": "zv"}], "payload.mass": 3.0},
+    "thick beams": {
+        "effects": {
+            "gravity": [0.0, -9.81],
+            "basis": "craig-bampton",
+            "proximal_bending": 2,
+            "distal_axial": 1,
+            "distal_bending": 1,
+            "beam": "timoshenko",
+            "damping": {"kind": "modal", "ratio": 0.1357},
+        }
+    },
     "payload error": {
         **LOOP,
         "controller": [PD, {"kind": "feedforward", "sample_time": 1e-3}],
@@ -195,16 +208,16 @@ COPIED: dict[str, dict[str, Any]] = {
 
 @pytest.mark.slow
 def test_a_copied_command_has_the_chosen_effects(tmp_path: Path) -> None:
-    """Without the account of the choice, which is longer than all else."""
+    """Without the account of the choice, which is longer than all else; and the tolerance that the choice filled in."""
     auto = {"gravity": [0.0, -9.81], "select": "auto", "tolerance": 0.05, "of": ["peak_torque_1"]}
-    path = write_changed("barnard2012-6kg", tmp_path / "auto.toml", {"effects": auto})
+    path = write_changed("barnard2012-6kg", tmp_path / "auto.toml", {"effects": auto, "cosimulation": {"step": 2e-4}})
     run = flexfmu.run(path)
-    settings = dict(live_run(run).facts["settings"])
-    assert "choice" not in settings["effects"]
-    copied, chosen = (
-        each.effects.model_dump(exclude={"choice"}) for each in (load_scene(path).replace(settings), run.scene)
-    )
-    assert copied == chosen
+    settings = live_run(run).facts["settings"]
+    assert "choice" not in dict(settings)["effects"]
+    (found,) = simulated(run, tmp_path, {})
+    copied = load_changed(str(path), [each for each in shlex.split(found["command"])[3:] if each != "--set"])
+    assert copied.effects == run.scene.effects.model_copy(update={"choice": None})
+    assert copied.cosimulation == run.scene.cosimulation
 
 
 @pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
@@ -233,6 +246,21 @@ def test_copies_run_what_the_page_runs(name: str, tmp_path: Path) -> None:
             close = value and pytest.approx(value, rel=1e-6, abs=1e-9)
             assert by_command[metric] == close, (metric, found["command"])
             assert by_scene[metric].value == close, (metric, found["command"])
+
+
+@pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.LoopWarning")
+def test_a_loop_is_unstable_in_the_page_as_on_the_command_line(tmp_path: Path) -> None:
+    """What counts as far off depends on the speed of the motion, which is that of the page's duration."""
+    limited = {**LOOP, "controller": [PD], "imperfection": [{"kind": "saturation", "limit": 60.0}]}
+    scene, states = load_scene("barnard2012-6kg").replace(limited), set()
+    stretches = [0.25, 1.0 / 3.0, 1.0]
+    for found, stretch in zip(
+        simulated(flexfmu.run(scene), tmp_path, *({"stretch": each} for each in stretches)), stretches, strict=True
+    ):
+        expected = divergence(flexfmu.run(scene.replace({"trajectory.duration": 0.6 * stretch})))
+        assert found["state"] == ("Unstable" if expected else ""), stretch
+        states.add(found["state"])
+    assert len(states) == 2
 
 
 @pytest.mark.parametrize("profile", ["trapezoidal", "bang-bang"])
@@ -470,7 +498,7 @@ def test_a_shaper_is_switched_on(browser: Any, tmp_path: Path) -> None:
     assert page.get_by_label("duration of the motion").is_disabled()
     remarks = page.locator(".remarks").inner_text()
     assert "The duration stays as recorded: an input shaper acts on the motion." in remarks
-    assert "Shapers and controllers stay as they were designed" in remarks
+    assert "stay as they were designed, for the recorded robot" in remarks
     page.get_by_role("button", name="copy as scene").click()
     (tmp_path / "scene.toml").write_text(page.locator(".command").inner_text())
     scene = load_scene(tmp_path / "scene.toml")
