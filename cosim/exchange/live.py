@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from math import frexp, nan, sqrt
+from math import frexp, isfinite, nan, sqrt
 from typing import Any
 
 import numpy as np
@@ -473,7 +473,7 @@ def _facts(run: Run, again: Run, prepared: PreparedScene, image: ProgramImage) -
         "breakpoints": [float(each) for each in parts.references.breakpoints],
         **_sliders(again, prepared, variables, starts, image.parameters),
         "clocks": [
-            [slave.sample_time, slave.offset]
+            [slave.sample_time if isfinite(slave.sample_time) else None, slave.offset, slave.instants]
             for i in schedule.due
             if isinstance(slave := schedule.slaves[i], BlockSlave)
         ],
@@ -544,7 +544,8 @@ def _sliders(
         if powers and powers.keys() <= blocks.keys():
             units = {shown_unit(own[target].unit) if power == 1 else "" for target, power in powers.items()}
             targets = [(target, own[target].start or 0.0, power) for target, power in powers.items()]
-            add(name, key, value, units.pop() if len(units) == 1 else "", targets)
+            taken = any(each["name"] == name for each in found)
+            add(key if taken else name, key, value, units.pop() if len(units) == 1 else "", targets)
     # the duration
     key, duration = "trajectory.duration", run.plan.duration
     reasons = {

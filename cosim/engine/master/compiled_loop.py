@@ -276,6 +276,8 @@ def extrapolation(group: SignalGroup, fed: RealArray, when: When, owner: int) ->
 def transfer_of(call: Call, when: When, owner: int) -> Iterator[Instruction]:
     """The instructions of a bound transfer: in C where there is an equivalent, else a Python callback."""
     match call:
+        case binding.nothing:
+            return
         # values first, then derivatives
         case binding.Both():
             yield from transfer_of(call.first, when, owner)

@@ -112,10 +112,10 @@ class Simulation {
   grid({ step, stretch }) {
     const { facts, joints } = this, { duration, clocks, breakpoints } = facts, end = duration * stretch, stop = end + (facts.stop - duration), near = 1e-6 * step;
     const marks = breakpoints.map((t) => t * stretch), points = [0, stop, ...marks.filter((t) => t > 0 && t < stop - near)], due = [];
-    for (const [time, offset] of clocks) {
-      const all = [];
-      for (let k = 0; offset + k * time < stop + near; k++) all.push(offset + k * time);
-      due.push(all);
+    for (const [time, offset, instants] of clocks) {
+      const all = instants.filter((t) => t < stop + near);
+      for (let k = 0; time && offset + k * time < stop + near; k++) all.push(offset + k * time);
+      due.push(all.sort((a, b) => a - b));
       points.push(...all);
     }
     for (let n = 1; n * step < stop - near; n++) points.push(n * step);

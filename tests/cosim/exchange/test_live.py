@@ -77,6 +77,8 @@ LOOP = {
 
 PD = {"kind": "pd", "proportional": [5e3, 4e3], "derivative": 50.0, "sample_time": 1e-3}
 
+PULSE = {"kind": "pulse", "signal": "force.x", "amplitude": 10.0, "start": 0.1234567, "duration": 0.05}
+
 SCENES: dict[str, Any] = {
     "barnard2012-6kg": "barnard2012-6kg",
     "barnard2012-0.1kg": "barnard2012-0.1kg",
@@ -88,6 +90,11 @@ SCENES: dict[str, Any] = {
         **LOOP,
         "controller": [PD],
         "imperfection": [{"kind": "delay", "signal": "position", "time": 4e-4}, {"kind": "delay", "time": 1e-3}],
+    },
+    "disturbed": {
+        **LOOP,
+        "controller": [PD, {"kind": "feedforward", "robot": "flexible", "sample_time": 1e-3}],
+        "disturbance": [PULSE, {"kind": "payload", "dropped": 0.30003}],
     },
 }
 """Shipped scenes, files, and changes of the 6 kg scene."""
@@ -201,7 +208,7 @@ COPIED: dict[str, dict[str, Any]] = {
             {"kind": "saturation", "limit": 90.0},
         ],
     },
-    "PD alone": {**LOOP, "controller": [PD]},
+    "PD alone": {**LOOP, "controller": [PD], "disturbance": [PULSE, {"kind": "payload", "dropped": 0.4, "mass": 1.0}]},
 }
 """Changes of the 6 kg scene whose copies are run."""
 
@@ -228,6 +235,7 @@ def test_copies_run_what_the_page_runs(name: str, tmp_path: Path) -> None:
     draw = random.Random(name)
     run = flexfmu.run(path)
     sliders = live_run(run).facts["sliders"]
+    assert len({each["name"] for each in sliders}) == len(sliders)
     some = draw.sample(sliders, 3)
     asked = [{each["name"]: float(f"{draw.uniform(each['low'], each['high']):.4g}")} for each in some]
     # not to the ends, where all together may be unstable
