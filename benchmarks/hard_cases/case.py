@@ -188,7 +188,12 @@ SAMPLES = 0.01
 ROUNDING = 1e-14
 """Closure residual [m] that rounding of lengths around 1 m leaves, with room for some dozens of operations."""
 
-NOT_FINITE, UNFINISHED, ERROR, CLOSURE = "numbers not finite", "part not simulated", "error", "closure residual"
+NOT_FINITE, UNFINISHED, ERROR, CLOSURE = (
+    "numbers that are NaN or infinite",
+    "part not simulated",
+    "error",
+    "closure residual",
+)
 OFF_BRANCH = "instants off the branch"
 
 

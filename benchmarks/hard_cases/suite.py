@@ -129,7 +129,7 @@ def figures(report: CaseReport) -> str:
         relation = "<=" if check.passed else "NOT <="
         if check.value != 0.0:
             others.append(f"{check.name} {check.value:.2g}{unit} ({relation} {check.limit:.2g})")
-    return "; ".join([*others, *([f"none or zero: {', '.join(zero)}"] if zero else [])])
+    return "; ".join([*others, *([f"zero: {', '.join(zero)}"] if zero else [])])
 
 
 def conclusion(results: Sequence[HardCaseResult]) -> str:
@@ -137,7 +137,7 @@ def conclusion(results: Sequence[HardCaseResult]) -> str:
     failed = [result.case.name for result in results if not result.report.passed]
     if failed:
         return f"{len(failed)} of {len(results)} hard cases failed: {', '.join(failed)}."
-    return f"All {len(results)} hard cases passed."
+    return "The hard case passed." if len(results) == 1 else f"All {len(results)} hard cases passed."
 
 
 def markdown(results: Sequence[HardCaseResult]) -> str:

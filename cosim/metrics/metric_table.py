@@ -254,6 +254,12 @@ def larger(name: str, values: Mapping[str, float | None]) -> str:
     return max(OF_BOTH.get(name, (name,)), key=lambda each: max(0.0, values.get(each) or 0.0))
 
 
+def without_noise(name: str, value: float | None) -> float | None:
+    """A metric's value, but 0 for a length that is rounding of the run's coordinates."""
+    info = definition(name)
+    return 0.0 if value is not None and info.unit == "m" and abs(value) < info.negligible else value
+
+
 def display(name: str, value: float | None, digits: int | None = None, error: float | None = None) -> str:
     """Format a metric's value in its display unit, see `printed`; a dash where there is none.
 

@@ -150,7 +150,7 @@ def _bent(run: Run) -> Iterator[str]:
     elif not short and remaining <= tolerance:
         remedy = f"set `effects.foreshortening = true`, which leaves {_percent(remaining)}"
     yield (
-        f"links bend by up to {100.0 * deflection:.2g} % of their length: {how} {_percent(error)} of the largest elastic "
+        f"links bend by up to {float(f'{100.0 * deflection:.2g}'):g} % of their length: {how} {_percent(error)} of the largest elastic "
         f"deviation, more than the tolerance of {100.0 * tolerance:g} %; {remedy}"
     )
 

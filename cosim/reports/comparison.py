@@ -12,7 +12,15 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.metric import Metric
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_FIGURES, OF_BOTH, definition, display, larger
+from flexfmu.cosim.metrics.metric_table import (
+    ALL_METRICS,
+    LOOP_FIGURES,
+    OF_BOTH,
+    definition,
+    display,
+    larger,
+    without_noise,
+)
 from flexfmu.cosim.reports.page import FIRST_METRICS, TILES, Figure, Page, Plot, Table
 from flexfmu.cosim.reports.plots import Shown, signal_plots
 from flexfmu.cosim.reports.report import of_scene
@@ -140,7 +148,7 @@ def _ranks(runs: Sequence[ComparedRun]) -> Iterator[str]:
     text = f"Unstable or failed: {', '.join(names[place] for place in failed)}. " if failed else ""
     yield Figure.said(text, "failures", is_over=bool(failed), names=names, failed=failed)
     for name, text in RANKS.items():
-        known = {run.name: run.metric(name).value for run in runs if not run.failure}
+        known = {run.name: without_noise(name, run.metric(name).value) for run in runs if not run.failure}
         values = {run: value for run, value in known.items() if value is not None}
         if len({*values.values()}) > 1:
             best = min(values, key=values.__getitem__)

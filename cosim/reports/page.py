@@ -17,7 +17,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from flexfmu.cosim.metrics.metric_table import OF_BOTH, definition, display
+from flexfmu.cosim.metrics.metric_table import OF_BOTH, definition, display, without_noise
 from flexfmu.cosim.reports.chart import MOST_POINTS, Panel
 
 HEIGHT = 194.4
@@ -86,6 +86,7 @@ class Figure(str):
             base: value of the first run, from which the difference is said, too.
             is_relative: whether the value is said relative to its limit.
         """
+        value = without_noise(name, value)
         info, text = definition(name), display(name, value, digits, error)
         factor, unit = info.displayed(1.0), info.display_unit
         is_over = value is not None and limit is not None and value > limit

@@ -10,7 +10,7 @@ import numpy as np
 
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, display_error, larger
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, definition, display, display_error, larger, without_noise
 from flexfmu.cosim.reports.page import FIRST_METRICS, Figure, Page, Plot, Table
 from flexfmu.cosim.reports.plots import robot_motion, scene_plot
 from flexfmu.cosim.reports.summary import (
@@ -136,7 +136,7 @@ def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> Iterator[str]
     def figure(name: str, usual: str, *, none: str = "", least: str = "", **more: Any) -> Figure:
         return Figure.of(name, metrics[larger(name, metrics)], digits=3, phrases=(none, least or usual, usual), **more)
 
-    residual = metrics["residual_vibration_amplitude"]
+    residual = without_noise("residual_vibration_amplitude", metrics["residual_vibration_amplitude"])
     if residual is not None:
         settled = "settles {} after the motion", "has settled at the end of the motion"
         yield "The robot "
@@ -160,7 +160,8 @@ def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> Iterator[str]
         yield "; it"
     else:
         yield "The robot"
-    yield figure("peak_position_error", " is up to {} off its planned motion", none=" has no position error")
+    off, none = " is up to {} off its planned motion", " has no position error"
+    yield figure("peak_position_error", off, none=none, least=none)
     if metrics[larger("peak_tip_deflection", metrics)]:
         yield figure("peak_tip_deflection", ", while its links bend by up to {}")
     uses = [
@@ -232,19 +233,22 @@ def _motion_sentence(scene: Mapping[str, Any], source: str | None) -> str:
     trajectory = scene["trajectory"]
     after = f"then a dwell of {trajectory['dwell']:g} s; payload {scene['payload']['mass']:g} kg."
     if source is not None:
-        return f"{source[0].upper()}{source[1:]} in {trajectory['duration']:g} s{_cycles(trajectory)}, {after}"
+        return f"{source[0].upper()}{source[1:]} in {trajectory['duration']:g} s{_cycles(scene)}, {after}"
     blend, profile = BLENDS[trajectory["blend"]["kind"]].label, PROFILES[trajectory["profile"]["kind"]].label
     return (
         f"Pick-and-place motion of {1e3 * trajectory['height']:g} mm × {1e3 * trajectory['width']:g} mm in "
-        f"{trajectory['duration']:g} s with {blend} blends and the {profile} profile{_cycles(trajectory)}, {after}"
+        f"{trajectory['duration']:g} s with {blend} blends and the {profile} profile{_cycles(scene)}, {after}"
     )
 
 
-def _cycles(trajectory: Mapping[str, Any]) -> str:
-    if trajectory.get("way_back", "none") == "none":
+def _cycles(scene: Mapping[str, Any]) -> str:
+    trajectory, learning = scene["trajectory"], [each for each in scene["controller"] if each["kind"] == "learning"]
+    if not learning and trajectory.get("way_back", "none") == "none":
         return ""
-    times = "once" if trajectory["cycles"] == 1 else f"{trajectory['cycles']} times"
-    return f", there and back {times} with pauses of {trajectory['pause']:g} s"
+    cycles, pause = (
+        (learning[0]["cycles"], trajectory["dwell"]) if learning else (trajectory["cycles"], trajectory["pause"])
+    )
+    return f", there and back {'once' if cycles == 1 else f'{cycles} times'} with pauses of {pause:g} s"
 
 
 def _scene_rows(value: Any, key: str = "") -> Iterator[tuple[str, str]]:

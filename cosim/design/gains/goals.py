@@ -85,6 +85,10 @@ class Condition:
         """How far each part of the figure is beyond the limit, see `Limit.excess`."""
         return [self.limit.excess(figures.get(part)) for part in self.goal.parts]
 
+    def is_missed(self, figures: Mapping[str, float | None]) -> bool:
+        """Whether the figure is beyond the limit, or missing."""
+        return max(self.excesses(figures)) > 0.0
+
     def closest(self, figures: Mapping[str, float | None]) -> float | None:
         """The figure that is closest to the limit."""
         return self.goal.of(figures, largest=self.limit.is_upper)

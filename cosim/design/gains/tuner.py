@@ -32,6 +32,7 @@ from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import LOOP_METRICS, MOTOR_METRICS, definition, metric
 from flexfmu.cosim.reports.chart import DASHES, GREY, INK, PALETTE, Curve, Panel, scale_of
 from flexfmu.cosim.reports.page import TILES, Page, Plot, Table
+from flexfmu.cosim.reports.page import Figure as PageFigure
 from flexfmu.cosim.reports.report import of_scene
 from flexfmu.model.one_thread import one_blas_thread
 from flexfmu.model.scene.keys import full_key, location, value_at
@@ -161,7 +162,10 @@ class TuneResult(Rows):
         figures = [[goal.label, goal.name, *(goal.shown(goal.of(each)) for each in pair), "smallest"]]
         for limited in study.conditions:
             limit = f"{'<' if limited.limit.is_upper else '>'} {limited.goal.shown(limited.limit.limit)}"
-            found = (limited.goal.shown(limited.closest(each)) for each in pair)
+            found = (
+                PageFigure.said(limited.goal.shown(limited.closest(each)), is_over=limited.is_missed(each))
+                for each in pair
+            )
             figures.append([limited.goal.label, limited.goal.name, *found, limit])
         band = ", worst over the robots" if study.robots else "" if study.band is None else ", worst over the payloads"
         return [
@@ -172,18 +176,21 @@ class TuneResult(Rows):
     def page(self) -> str:
         """The page: what the tuning gained, values and limits, and the figure of each trial, as HTML."""
         goal, (keys, figures) = self.study.minimise, self.tables()
-        verdict = (
-            f"{goal.label} {goal.shown(goal.of(self.best.figures))}, given {goal.shown(goal.of(self.given.figures))}"
-        )
-        end = ", interrupted" if self.interrupted else ""
-        verdict += f"; {'all limits are kept' if self.is_feasible else 'no trial keeps all limits'} ({len(self.trials)} trials{end})."
+        limited = zip(figures.rows[1:], self.study.conditions, strict=True)
+        missed = [f"{row[0]} {row[3]}, limit {row[4]}" for row, each in limited if each.is_missed(self.best.figures)]
+        misses = f"no trial keeps all limits{': ' if missed else ''}{'; '.join(missed)}"
+        verdict = [
+            f"{goal.label} {goal.shown(goal.of(self.best.figures))}, given {goal.shown(goal.of(self.given.figures))}; ",
+            PageFigure.said("all limits are kept" if self.is_feasible else misses, is_over=not self.is_feasible),
+            f" ({len(self.trials)} trials{', interrupted' if self.interrupted else ''}).",
+        ]
         tiles = [
             (f"{row[0]}, limit {row[4]}" if k else row[0], [row[2], row[3]])
             for k, row in enumerate(figures.rows[:TILES])
         ]
         tiles += [(row[0], [f"{row[1]} → {row[2]}"]) for row in keys.rows][: TILES - len(tiles)]
         frame = of_scene(self.scene)
-        return Page(f"{self.study.scene.name}, tuned", [verdict], [self._plot()], [keys, figures], tiles, **frame).html
+        return Page(f"{self.study.scene.name}, tuned", verdict, [self._plot()], [keys, figures], tiles, **frame).html
 
     def __repr__(self) -> str:
         """Return at most five lines."""

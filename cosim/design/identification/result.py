@@ -17,7 +17,8 @@ from flexfmu.cosim.engine.showing import Rows, csv_text, few_lines, html_table, 
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.parameters import scene_values
 from flexfmu.cosim.reports.chart import INK, PALETTE, Curve, Panel
-from flexfmu.cosim.reports.page import Page, Plot, Table
+from flexfmu.cosim.reports.page import TILES, Page, Plot, Table
+from flexfmu.cosim.reports.page import Figure as PageFigure
 from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 from flexfmu.errors import read_text
 from flexfmu.model.scene.schema import Scene
@@ -33,6 +34,9 @@ MOVING = 1.2
 
 CORRELATED = 0.9
 """Correlation of two estimates that is told."""
+
+SAID = 2
+"""Estimates and signals in a page's first sentence."""
 
 DRAWS = 200
 """Number of drawn cases in ``draws.csv``."""
@@ -409,8 +413,26 @@ class Identification(Rows):
         return "".join(html_table(table.header, table.rows) for table in self.tables())
 
     def page(self) -> str:
-        """The page: tables, measured and simulated signals, residuals and their spectra, as HTML."""
-        return Page(f"{self.name}, identified", [" ".join(self.messages)], [*self.plots()], [*self.tables()]).html
+        """The page: what was found, and whether it fits better, tables, measured and simulated signals, residuals and their spectra, as HTML."""
+        # the estimates that changed most, and the signals that fit worst, come first
+        moved = sorted(self.free, key=lambda each: -abs(each.value - each.start) / (abs(each.start) or 1.0))
+        values = [f"{_with_error(each)} {shown_unit(each.unit)}".rstrip() for each in moved]
+        said = zip(moved, values, strict=True)
+        tiles: list[tuple[str, Sequence[str]]] = [
+            (f"{each.name}, {each.start:.4g} before", [text]) for each, text in said
+        ]
+        verdict = [" and ".join(f"{each.name} is {text}" for each, text in zip(moved[:SAID], values, strict=False))]
+        residuals = list[tuple[str, Sequence[str]]]()
+        for each in sorted(self.signals, key=lambda each: each.rms[0] / (each.rms[1] or 1.0)):
+            before, after = (float(f"{value:.4g}") for value in each.rms)
+            text, is_worse = f"{before:g} → {after:g} {shown_unit(each.unit)}".rstrip(), after > before
+            worse = PageFigure.said(f"{text}{', worse' if is_worse else ''}", is_over=is_worse)
+            residuals.append((f"{each.name}, RMS of measured minus simulated", [worse]))
+        for (label, (text,)), join in zip(residuals[:SAID], ("; ", ", "), strict=False):
+            verdict += [f"{join}{label} ", text]
+        tiles[max(TILES - len(residuals), SAID) :] = residuals
+        verdict.append(" ".join([".", *self.messages]))
+        return Page(f"{self.name}, identified", verdict, [*self.plots()], [*self.tables()], tiles[:TILES]).html
 
     def write(self, folder: str | os.PathLike[str]) -> Path:
         """Write identified.html, identified.json, and draws.csv for `flexfmu sweep --cases`, into a folder; return its path.

@@ -295,7 +295,7 @@ def short_text(value: Any) -> str:
     """A value of a scene key as people read it: four digits; of a table its kind or name."""
     if isinstance(value, Mapping) and ("kind" in value or "name" in value):
         return str(value.get("kind", value.get("name")))
-    return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)
+    return f"{float(f'{value:.4g}'):g}" if isinstance(value, float) else "" if value is None else str(value)
 
 
 def text_of(value: Any) -> str:

@@ -204,7 +204,10 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
             if name in ALL_METRICS
         ]  # fmt: skip
         failed = f"{len(self.messages)} of {len(self)} cases failed, the first with {self.case_text(min(self.messages, default=0))}."
-        verdict = " ".join([*(self._span(name) for name in shown[:2]), *([failed] if self.messages else [])])
+        sentences = [text for name in shown if (text := self._span(name))]
+        verdict = " ".join(
+            [*(sentences[:2] or ["No metric changes."] * bool(found)), *([failed] if self.messages else [])]
+        )
         numbers = {
             key: column
             for key, column in zip(self.cases.keys, self.columns(), strict=True)
@@ -231,11 +234,11 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
         return ALL_METRICS.get(name) or MetricDefinition(name, unit, "", display=(unit, float))
 
     def _span(self, name: str) -> str:
-        """From where to where a metric goes, in a sentence."""
+        """From where to where a metric goes, in a sentence; empty for one that doesn't change."""
         info, each = self._definition(name), self.summary()[name]
         low, high = (f"{info.displayed(each[end]):.4g} {info.display_unit}".rstrip() for end in ("min", "max"))
         where = [self.case_text(each[end]) for end in ("min_case", "max_case")]
-        return f"{info.label} goes from {low} ({where[0]}) to {high} ({where[1]})."
+        return "" if low == high else f"{info.label} goes from {low} ({where[0]}) to {high} ({where[1]})."
 
     def _plot(self, name: str, numbers: Mapping[str, Sequence[float]]) -> Plot:
         """A metric over the first key with numbers: a line for each combination of the others where these are few, otherwise points."""

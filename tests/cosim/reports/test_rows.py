@@ -152,6 +152,9 @@ def test_metrics_stand_beside_each_other_with_differences() -> None:
     assert table.header == ["Metric", "Name", "slow", "fast", "measured"]
     assert table.rows[0] == ["Peak torque, joint 1", "peak_torque_1", "10 N·m", "12.5 N·m (+25 %)", "–"]
     assert table.rows[1][2:] == ["–", "–", "–"]
+    rings = ({"residual_vibration_amplitude": Metric(each)} for each in (1e-6, 3.6e-16))
+    still = [replace(compared(name, 1.0), metrics=each) for name, each in zip(("one", "other"), rings, strict=True)]
+    assert "other has the least residual vibration, 0 mm. " in comparison_page(still, [], []).verdict
     cells = metrics_table([compared(f"{each}", each) for each in (1.0, 13.456, 0.9)]).rows[0][3:]
     assert cells == ["134.56 N·m (+1250 %)", "9 N·m (−10 %)"]
 

@@ -243,6 +243,20 @@ def test_report_shows_scene_metrics_and_plots(make_run: MakeRun) -> None:
     assert [wanted for wanted in (*labels, *words) if escape(wanted) not in text] == []
 
 
+def test_a_verdict_has_no_rounding(make_run: MakeRun) -> None:
+    """Lengths below 1e-12 m are zero and have no frequency; a robot that learns goes there and back."""
+    run = make_run()
+    summary, plots = summarise(run, measure_run(run)), [*draw_plots(run, settings_for(run).end_equilibrium)]
+    assert "mostly at" in str([*report_page(summary, plots).verdict])
+    summary["metrics"] |= {"residual_vibration_amplitude": 3.6e-16, "peak_position_error": 2.9e-16}
+    summary["metrics"]["residual_vibration_rms"] = 1e-16
+    summary["scene"]["controller"] = [{"kind": "learning", "cycles": 3}]
+    page = report_page(summary, plots)
+    verdict = "".join(page.verdict)
+    assert "a residual vibration of 0 mm, within the settling band; it has no position error" in verdict
+    assert "there and back 3 times with pauses of 0.25 s" in page.lead
+
+
 def test_report_of_a_failed_run_says_so(make_run: MakeRun) -> None:
     """A run that broke off is shown as far as it came, under a notice; without any step that is the scene's picture."""
     text = report_of(make_run(outcome=Outcome.STEP_FAILED, end=0.2))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -94,6 +95,12 @@ def test_limits_that_none_keeps_are_missed_least() -> None:
     result = tune_study(study("peak_torque < 1e3"), trials=60)
     assert not result.is_feasible
     assert result.best.values == pytest.approx((1e3, 10.0), rel=0.05)
+    # the page names what is missed, in red
+    missed = (
+        r'class="over">no trial keeps all limits: Peak torque, both joints [\d.e+]+ N·m, limit &lt; 1000 N·m</span>'
+    )
+    assert re.search(missed, result.page())
+    assert len(re.findall('class="over">', result.page())) == 5
     # every line is in the legend, that of the given values too
     legend = result.plot().axes[0].get_legend()
     assert legend is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -275,6 +276,14 @@ def test_a_payload_is_found_from_torques(log: Path, tmp_path: Path) -> None:
     assert all(abs(each["payload.mass"] - mass.value) < 6.0 * mass.standard_error for each in found.draws())
     assert {each.name for each in tmp_path.iterdir()} == {"identified.html", "identified.json", "draws.csv"}
     assert "payload.mass = 5." in repr(found)
+    # the page begins with what was found
+    page, (before, after) = found.page(), found.signals[0].rms
+    assert re.search(r'<p class="verdict">payload.mass is 5\.[\d]+ ± \S+ kg; joint\d.torque, RMS of measured', page)
+    assert "payload.mass, 6 before" in page
+    assert after < before
+    assert ", worse" not in page
+    signal = replace(found.signals[0], before=found.signals[0].after, after=found.signals[0].before)
+    assert f'class="over">{after:.4g} → {before:.4g} N·m, worse</span>' in replace(found, signals=(signal,)).page()
 
 
 def test_drawn_starts_end_at_one_minimum(log: Path) -> None:

@@ -326,17 +326,25 @@ def test_what_no_case_can_help_ends_the_sweep(fault: Exception, monkeypatch: pyt
 
 def test_extremes_are_named_by_their_values(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """Whoever reads the table sees with which values a metric is largest, and which case failed first."""
-    varied = {"payload.mass": [1.0, 2.0, 3.0], "trajectory.blend": [{"kind": "lame", "height": 0.02, "width": 0.02}]}
+    varied = {"payload.mass": [1.0, 2.0, 3e4], "trajectory.blend": [{"kind": "lame", "height": 0.02, "width": 0.02}]}
     found = SweepResult(
-        "a", make_cases(varied)[0], ("m",), np.array([[2.0], [5.0], [np.nan]]), {2: "too heavy"}, {}, {}
+        "a",
+        make_cases(varied)[0],
+        ("still", "m"),
+        np.array([[0.0, 2.0], [0.0, 5.0], [np.nan] * 2]),
+        {2: "too heavy"},
+        {},
+        {},
     )
+    assert "still goes" not in found.page()
+    assert "m goes from 2 (payload.mass=1" in found.page()
     assert found.summary()["m"]["max_values"] == {
         "payload.mass": 2.0,
         "trajectory.blend": varied["trajectory.blend"][0],
     }
-    assert "first payload.mass=3, trajectory.blend=lame" in repr(found)
+    assert "first payload.mass=30000, trajectory.blend=lame" in repr(found)
     print_rich(*_shown_sweep(found, [tmp_path / "sweep.csv"]))
     printed = capsys.readouterr().out
     assert "payload.mass=1, trajectory.blend=lame" in printed
     assert "payload.mass=2, trajectory.blend=lame" in printed
-    assert "1 failed, the first with payload.mass=3, trajectory.blend=lame: too heavy" in printed
+    assert "1 failed, the first with payload.mass=30000, trajectory.blend=lame: too heavy" in printed
