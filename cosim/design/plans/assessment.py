@@ -255,15 +255,13 @@ class Judge:
 
     Args:
         goals: limits, bands and clearance.
-        payloads: number of payloads within their band.
+        payloads: number of payloads within their band; 0 for `JUDGED`.
         journal: where assessments are kept.
         step: communication step of the runs [s].
     """
 
-    def __init__(
-        self, goals: Goals, payloads: int = JUDGED, journal: WorkJournal = NOWHERE, step: float = STEP
-    ) -> None:
-        self.goals, self.payloads, self.journal, self.step = goals, payloads, journal, step
+    def __init__(self, goals: Goals, payloads: int = 0, journal: WorkJournal = NOWHERE, step: float = STEP) -> None:
+        self.goals, self.payloads, self.journal, self.step = goals, payloads or JUDGED, journal, step
         # those of the way with most robots
         self.robots = max((each.variations(self.payloads) for each in goals.ways), key=len)
 
