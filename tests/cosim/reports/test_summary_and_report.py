@@ -204,6 +204,15 @@ def test_large_elongations_are_said(make_run: MakeRun, share: float, said: int) 
     assert len(found) == said
 
 
+def test_large_deflections_are_said_in_percent(make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In two digits, without a power of ten."""
+    run = make_run()
+    monkeypatch.setattr("flexfmu.cosim.metrics.small_deflections.path_errors", lambda run: (0.9, 0.9))
+    bent = {"link11.tip_deflection": Column("m", 1.6 * run.scene.mechanism.proximal.length + 0.0 * run.recording.time)}
+    (sentence,) = exceeded(replace(run, recording=run.recording.with_columns(bent)))
+    assert sentence.startswith("links bend by up to 160 % of their length: the path is off by more than 50 %")
+
+
 def test_effects_that_are_not_there_are_not_listed(make_run: MakeRun) -> None:
     """The list of effects follows the scene."""
     scene = make_run().scene
