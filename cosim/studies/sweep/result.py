@@ -241,25 +241,31 @@ class SweepResult(Rows, Sequence[dict[str, Any]]):
         return "" if low == high else f"{info.label} goes from {low} ({where[0]}) to {high} ({where[1]})."
 
     def _plot(self, name: str, numbers: Mapping[str, Sequence[float]]) -> Plot:
-        """A metric over the first key with numbers: a line for each combination of the others where these are few, otherwise points."""
+        """A metric over the first key with numbers: a line for each combination of the others where these are few, otherwise points in the
+        colours of some of the others."""
         along = next((key for key, column in numbers.items() if len({*column}) > 1), "case")
         x = np.array(numbers.get(along, range(len(self))), dtype=float)
         info = self._definition(name)
         factor, unit, label = info.displayed(1.0), info.display_unit, info.label
         y = factor * self.values[:, self.metrics.index(name)]
-        groups: dict[str, list[int]] = {}
-        for number in range(len(self)):
-            rest = {key: value for key, value in self.cases.changes(number).items() if key != along}
-            groups.setdefault(", ".join(f"{key}={short_text(value)}" for key, value in rest.items()), []).append(number)
-        if len(groups) > len(PALETTE):
-            groups = {"": [*range(len(self))]}
+        # by as many of the other keys as there are colours for
+        named = [key for key in self.cases.keys if key != along]
+        while True:
+            groups: dict[str, list[int]] = {}
+            for number, row in enumerate(map(self.cases.changes, range(len(self)))):
+                groups.setdefault(", ".join(f"{key}={short_text(row[key])}" for key in named if key in row), []).append(
+                    number
+                )
+            if len(groups) <= len(PALETTE):
+                break
+            named.pop()
         curves = []
         for (text, cases), colour in zip(groups.items(), PALETTE, strict=False):
             order = np.array(cases)[np.argsort(x[cases], kind="stable")]
             more = {f"{key} [{shown_unit(self.units.get(key, ''))}]": np.array(numbers[key])[order] for key in numbers}
             width = 1.4 if np.unique(x[order]).size == order.size else 0.0
             # what neither the legend nor numbers say
-            said = [] if text else [key for key in self.cases.keys if key not in numbers]
+            said = [key for key in self.cases.keys if key not in numbers and key not in named]
             rows = (self.cases.changes(i) for i in order)
             notes = [", ".join(f"{key}={short_text(row[key])}" for key in said) for row in rows] if said else ()
             more = more | {f"{label} [{unit}]": y[order]}

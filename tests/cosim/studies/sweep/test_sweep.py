@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import errno
+import json
 import os
+import re
 import signal
 from itertools import pairwise
 from pathlib import Path
@@ -348,3 +350,18 @@ def test_extremes_are_named_by_their_values(capsys: pytest.CaptureFixture[str], 
     assert "payload.mass=1, trajectory.blend=lame" in printed
     assert "payload.mass=2, trajectory.blend=lame" in printed
     assert "1 failed, the first with payload.mass=30000, trajectory.blend=lame: too heavy" in printed
+
+
+@pytest.mark.parametrize(("others", "labels"), [(6, [f"pd.kp={kp}, pd.kd={kd}" for kp in (2000, 20000) for kd in (20, 40, 60)]), (10, ["pd.kp=2000", "pd.kp=20000"])])  # fmt: skip
+def test_points_have_colours_and_a_legend(others: int, labels: list[str]) -> None:
+    """Of as many keys as there are colours for; values are without powers of ten."""
+    varied = {"payload.mass": [1.0, 2.0], "pd.kp": [2e3, 2e4], "pd.kd": [20.0 * k for k in range(1, others // 2 + 1)]}
+    cases = make_cases(varied)[0]
+    found = SweepResult("a", cases, ("m",), np.arange(2.0 * others)[:, np.newaxis], {}, {}, {})
+    page = found.page()
+    (text,) = re.findall(r'<script type="application/json">(.*?)</script>', page)
+    curves = [each for each in json.loads(text)["panels"][0]["curves"] if each["is_read"]]
+    assert [each["label"] for each in curves] == labels
+    assert len({each["colour"] for each in curves}) == len(labels)
+    # with a line where it has one point for each value
+    assert {each["width"] > 0.0 for each in curves} == {others == 6}
