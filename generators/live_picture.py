@@ -38,7 +38,7 @@ def main() -> None:
         page.locator("#live.ready").wait_for()
         page.evaluate("window.scrollTo(0, 170)")
         for number, place in enumerate(PLACES):
-            page.get_by_label("payload.mass").fill(str(place))
+            page.get_by_role("slider", name="payload.mass").fill(str(place))
             page.evaluate(f"page.at({0.05 + 0.35 * number / len(PLACES)})")
             page.wait_for_timeout(900.0)
             whole = Image.open(io.BytesIO(page.screenshot())).convert("RGB")

@@ -195,7 +195,7 @@ def run(
 
                 page = live_report(found, summary, rest)
                 for reason in page.live.reasons:
-                    console.show_note(f"report.html can't simulate {reason}")
+                    console.show_note(f"report.html {reason}")
             else:
                 from flexfmu.cosim.reports.plots import draw_plots
                 from flexfmu.cosim.reports.report import report_page

@@ -107,8 +107,8 @@ GUID = "{live}"
 LARGEST = 1_000_000
 """Bytes of a page with all bits of its run; a larger one evaluates the motion between knots."""
 
-LONG = "all bits of the run, which would take more than 1 MB"
-"""What such a page can't simulate."""
+LONG = "simulates within rounding of the run, because all of its bits would take more than 1 MB"
+"""What such a page does."""
 
 SPREAD = 3.0
 """Largest factor of a slider's value, either way."""
@@ -200,10 +200,10 @@ def simulating(
         for (option, run), place in zip(runs, places or [0] * len(runs), strict=True)
         if run.facts
     ]
-    reasons = [f"{option or 'the run'}: {run.reason}" for option, run in runs if run.reason]
+    reasons = [f"can't simulate {option or 'the run'}: {run.reason}" for option, run in runs if run.reason]
     if not there:
         return Live(reasons=reasons)
-    reasons += [f"other values of {', '.join(fixed)}, which stay as in the scene"] if fixed else []
+    reasons += [f"can't simulate other values of {', '.join(fixed)}, which stay as in the scene"] if fixed else []
     head = json.dumps({"runs": there, "swept": swept or {}, "fixed": fixed or {}}).encode()
     return Live(base64.b64encode(gzip.compress(head + b"\n" + bytes(content), 9, mtime=0)).decode(), reasons)
 

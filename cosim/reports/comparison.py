@@ -125,8 +125,8 @@ def comparison_page(runs: Sequence[ComparedRun], tables: Sequence[Table], plots:
     """
     verdict = [*_ranks(runs), f"{len(runs)} runs, each in its colour; differences are relative to {runs[0].name}."]
     title = " · ".join(run.name for run in runs)
-    shown = next((run.run for run in runs if run.run is not None), None)
-    frame = {} if shown is None else of_scene(shown.scene, shown)
+    shown = [(each.run.scene, each.run, place) for place, each in enumerate(runs) if each.run is not None]
+    frame = of_scene(*shown[0]) if shown else {}
     return Page(title, verdict, plots, tables, first_tiles(runs), **frame)
 
 

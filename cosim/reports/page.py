@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -86,8 +87,10 @@ class Figure(str):
             base: value of the first run, from which the difference is said, too.
             is_relative: whether the value is said relative to its limit.
         """
-        value = without_noise(name, value)
-        info, text = definition(name), display(name, value, digits, error)
+        value, base = (without_noise(name, each) for each in (value, base))
+        # numbers as the script has them
+        text = re.sub(r"(?<=\d)e\+?(-?)0*", r"e\1", display(name, value, digits, error)).replace("-", "−")
+        info = definition(name)
         factor, unit = info.displayed(1.0), info.display_unit
         is_over = value is not None and limit is not None and value > limit
         if is_relative and value is not None and limit:
@@ -98,7 +101,8 @@ class Figure(str):
         within = value is not None and value <= (limit or 0.0)
         phrase = phrases[0 if value is None else 1 if within else 2]
         facts: dict[str, Any] = {"parts": OF_BOTH.get(name, [name]), "factor": factor, "unit": unit, "limit": limit}
-        facts |= {"digits": digits or 5, "compared": base is not None, "phrases": phrases}
+        facts |= {"digits": digits or 5, "compared": base, "phrases": phrases}
+        facts |= {"label": info.label, "negligible": info.negligible}
         return cls.said(phrase.replace("{}", text), name, is_over=is_over, run=run, **facts)
 
     @classmethod
@@ -173,7 +177,7 @@ class Live:
 
     Attributes:
         packed: the runs as modules, by `flexfmu.cosim.exchange.live.packed`; empty for a page that doesn't simulate.
-        reasons: why some of them stay as recorded.
+        reasons: what it does otherwise, some of them can't be simulated for example.
     """
 
     packed: str = ""

@@ -50,9 +50,6 @@ REFERENCES = ("joint1.reference.position", "joint2.reference.position")
 LINKS = ((INK, 3.2), (FIRST, 2.2))
 """Colour and width of a leg's links, proximal and distal."""
 
-LONGEST = 1.2
-"""Time before the end of a run that is shown [s]: of several cycles the last, in enough instants for its vibration."""
-
 VISIBLE = 0.1
 """Largest magnified deviation of the end effector relative to a proximal link's length, about."""
 
@@ -70,7 +67,7 @@ def rigid_motion(plan: MotionPlan) -> Recording:
 
 
 def robot_motion(plan: MotionPlan, recording: Recording, scene: Scene) -> dict[str, Any]:
-    """Return what the page's script bends and moves the robot by, ``Motion`` in page.js, in the last `LONGEST` seconds of a recording.
+    """Return what the page's script bends and moves the robot by, ``Motion`` in page.js, of several cycles in the last.
 
     Its instants are about equally spaced.
 
@@ -79,7 +76,7 @@ def robot_motion(plan: MotionPlan, recording: Recording, scene: Scene) -> dict[s
         recording: with at least two instants.
         scene: with the robot's own parameters.
     """
-    grid = np.linspace(recording.time[_shown(recording)][0], recording.time[-1], FRAMES)
+    grid = np.linspace(recording.time[_shown(plan, recording)][0], recording.time[-1], FRAMES)
     index = np.minimum(recording.time.searchsorted(grid), recording.time.size - 1)
     index = index[np.diff(index, prepend=-1) > 0]
     time, rigid, deviation = _deviation(plan, recording, index)
@@ -108,8 +105,8 @@ def robot_motion(plan: MotionPlan, recording: Recording, scene: Scene) -> dict[s
         "lengths": [mechanism.proximal.length, mechanism.distal.length],
         "links": LINKS,
         "magnification": magnification(deviation, mechanism.proximal.length),
-        "slower": max(1.0, round(DURATION / float(time[-1] - time[0]), 1)),
-        "longest": LONGEST,
+        "slower": float(f"{DURATION / float(time[-1] - time[0]):.2g}"),
+        "run": 0,
         "rows": rows,
     }
 
@@ -131,8 +128,8 @@ def magnification(deviation: RealArray, length: float) -> float:
 
 
 def path_panel(run: Run, magnification: float) -> Panel:
-    """Return the end effector's path in the last `LONGEST` seconds beside the rigid robot's, its deviation magnified [m]."""
-    time, rigid, deviation = _deviation(run.plan, run.recording, _shown(run.recording))
+    """Return the end effector's path, of several cycles in the last, beside the rigid robot's, its deviation magnified [m]."""
+    time, rigid, deviation = _deviation(run.plan, run.recording, _shown(run.plan, run.recording))
     x, y = (rigid + magnification * deviation).T
     more = {
         "time [s]": time,
@@ -146,9 +143,10 @@ def path_panel(run: Run, magnification: float) -> Panel:
     return Panel(label="y [m]", curves=curves, is_to_scale=True, is_function=False)
 
 
-def _shown(recording: Recording) -> slice:
-    """Return the indices of the last `LONGEST` seconds."""
-    return slice(int(recording.time.searchsorted(recording.time[-1] - LONGEST)), None)
+def _shown(plan: MotionPlan, recording: Recording) -> slice:
+    """Return the indices of all instants, of several cycles those from the last one's begin on."""
+    length = np.inf if plan.repetition is None else plan.stop_time - plan.duration + plan.repetition.period
+    return slice(int(recording.time.searchsorted(recording.time[-1] - length)), None)
 
 
 def _bending(recording: Recording, link: str, shapes: tuple[Shape, ...]) -> tuple[list[str], list[list[float]]]:
@@ -254,7 +252,7 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
         return
     robot = robot_motion(run.plan, run.recording, run.robot)
     yield scene_plot(run.plan, robot)
-    last = f" in the last {LONGEST:g} s" if np.ptp(run.recording.time) > LONGEST else ""
+    last = " in the last cycle" if run.plan.repetition else ""
     caption = f"Path of the end effector{last}; its deviation from the rigid robot × {robot['magnification']:g}."
     yield to_scale("path", "Path", caption, path_panel(run, robot["magnification"]))
     end, stop = run.plan.duration, float(run.recording.time[-1])
@@ -364,8 +362,8 @@ def signal_values(run: Run, of: str, end_equilibrium: RealArray | None) -> tuple
 
 def scene_plot(plan: MotionPlan, robot: Mapping[str, Any] | None = None) -> Plot:
     """The mechanism at start, middle and end of its path, and in motion: as it was recorded, or rigid."""
-    caption = "The rigid mechanism at start, middle and end of the path. With scripts it moves"
-    caption += "." if robot is None else ", its deviation from the rigid robot magnified."
+    deviation = "." if robot is None else "; in motion its deviation from the rigid robot is magnified."
+    caption = f"The mechanism on its path{deviation}"
     robot = robot or robot_motion(plan, rigid_motion(plan), plan.scene)
     return to_scale("scene", "Scene", caption, scene_panel(plan, robot))
 

@@ -58,13 +58,19 @@ def report_page(summary: Mapping[str, Any], plots: Iterable[Plot]) -> Page:
     )
 
 
-def of_scene(scene: Scene, run: Run | None = None) -> dict[str, Any]:
-    """What all pages about a scene have: the robot in motion, as in a run or rigid, and effects, scene file and slaves folded away."""
+def of_scene(scene: Scene, run: Run | None = None, place: int = 0) -> dict[str, Any]:
+    """What all pages about a scene have: the robot in motion, rigid or as in a run, and effects, scene file and slaves folded away.
+
+    Args:
+        scene: the scene.
+        run: its run; None for none.
+        place: of the run among those of the page.
+    """
     try:
         planned = plan(scene) if run is None else run.plan
     except TrajectoryError:  # of a sweep whose cases alone are feasible
         return {}
-    robot = None if run is None else robot_motion(planned, run.recording, run.robot)
+    robot = None if run is None else robot_motion(planned, run.recording, run.robot) | {"run": place}
     data = scene.model_dump(mode="json", exclude_none=True)
     system = [] if run is None else _system_tables(system_summary(run))
     folded = [_facts("Effects", describe_effects(scene)), _facts("Scene file", dict(_scene_rows(data))), *system]
@@ -169,7 +175,7 @@ def _verdict(summary: Mapping[str, Any], plots: Iterable[Plot]) -> Iterator[str]
     ]
     if uses:
         use, name, joint = max(uses)
-        yield Figure.said(f"; motor {joint} needs {100.0 * use:.3g} % of its {name}", "motor")
+        yield Figure.said(f"; motor {joint} needs {100.0 * use:.3g} % of its {name}", "motor", is_over=use > 1.0)
     yield "."
 
 

@@ -71,6 +71,9 @@ const page = (() => {
       if (axis === "y" && this.level !== null && !between) take(this.level);
       const found = range(low, high, this.motion && axis === "y" ? 0.1 : axis === "y" || !this.is_function ? 0.05 : 0.01, isLog);
       if (axis === "y" && this.least !== null) found[0] = this.least;
+      // room for the texts of marks
+      const [from, to] = between ?? this.chart.limits ?? [];
+      if (axis === "y" && this.marks.some(([x]) => x >= from && x <= to)) found[1] += (16 / (this.chart.height - 30)) * (found[1] - found[0]);
       return found;
     }
     build(width) {
@@ -112,7 +115,9 @@ const page = (() => {
       let down = null;
       this.plot.over.addEventListener("pointermove", () => this.plot.syncRect(true));
       this.plot.over.addEventListener("pointerdown", (event) => (down = event));
-      this.plot.over.addEventListener("pointerup", (event) => { if (down && this.chosen && Math.hypot(event.x - down.x, event.y - down.y) < 4) page.pick?.(this.chosen); });
+      this.plot.over.addEventListener("pointerup", (event) => { if (!down || !this.chosen || Math.hypot(event.x - down.x, event.y - down.y) >= 4) return;
+        const why = page.pick?.(this.chosen);
+        if (why) chart.say(why); });
     }
     // as many as tell the numbers of an axis apart
     digits(axis) {
@@ -209,7 +214,8 @@ const page = (() => {
     }
     told(c, i) {
       const values = c.more.length ? c.more.map((name, k) => [name, c.extra[k][i]]) : [[this.chart.x, c.x[i]], [this.label.replace("\n", " "), c.y[i]]];
-      return [c.label, ...values.map(([name, v]) => `${name.replace(/ \[.*\]/, "")} ${short(v, 5)} ${unitOf(name)}`.trim()), c.notes[i]].filter(Boolean).join(" · ");
+      const said = values.map(([name, v]) => [name.replace(/ \[.*\]/, ""), `${short(v, 5)} ${unitOf(name)}`]).filter(([name]) => !c.label.includes(`${name}=`));
+      return [c.label, ...said.map((each) => each.join(" ").trim()), c.notes[i]].filter(Boolean).join(" · ");
     }
     selected({ left, width, top, height }) {
       const { plot: u, chart } = this, x = [u.posToVal(left, "x"), u.posToVal(left + width, "x")];

@@ -14,6 +14,7 @@ import subprocess
 import time
 import warnings
 from collections.abc import Iterator
+from html import unescape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -330,7 +331,8 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
     page.locator("#live.ready").wait_for()
     shown = page.evaluate("Array.from(page.live.usual.signal('joint1.torque', 1))")
     np.testing.assert_array_equal(shown, run.recording["joint1.torque"].first)
-    assert page.locator(".sliders label", has_text="youngs").locator("output").inner_text() == "70 GPa"
+    field = page.get_by_role("spinbutton", name="youngs")
+    assert (field.input_value(), field.locator("xpath=..").inner_text().strip()) == ("70", "GPa")
     # a slider, of which zoomed charts show the curves too, beside the recorded ones
     torques = "page.charts.find(each => each.key === 'torques')"
     page.evaluate(f"{torques}.zoom([0.1, 0.2])")
@@ -340,7 +342,7 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
         page.locator(".tile [data-metric=peak_torque]"),
         page.locator(".tile [data-metric=peak_torque]").inner_text(),
     )
-    slider = page.get_by_label("payload.mass")
+    slider = page.get_by_role("slider", name="payload.mass")
     slider.fill("0.4")
     page.wait_for_timeout(800.0)
     assert tile.inner_text() != before
@@ -380,6 +382,8 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
     # figures have the digits that their errors allow, once these are known
     page.evaluate("location.hash = '#accuracy=3'")
     page.wait_for_timeout(1500.0)
+    said = r"metrics within [0-9.]+ % \([A-Z][^()]+\) of a run with half the step"
+    assert re.search(said, page.locator(".status").inner_text())
     (coarse,) = page.locator(".tile [data-metric=rms_acceleration_error]").all_inner_texts()
     sharp = measure_run(run, 0)["rms_acceleration_error"].value
     assert len(coarse.split()[0]) < 6
@@ -408,6 +412,29 @@ def test_a_page_simulates(browser: Any, tmp_path: Path) -> None:
     page.evaluate("location.hash = '#payload.mass=5'")
     page.wait_for_timeout(500.0)
     assert slider.get_attribute("aria-valuetext") == "5 kg"
+    # a value that is typed, and a step to a round one; one beyond an end is the end, and is said
+    field, status = page.get_by_role("spinbutton", name="payload.mass"), page.locator(".status")
+    for typed, key, value, is_said in (
+        ("4.123", "Enter", 4.123, False),
+        ("4.123", "ArrowUp", 4.2, False),
+        ("99", "Enter", 18.0, True),
+    ):
+        field.fill(typed)
+        field.press(key)
+        page.wait_for_timeout(500.0)
+        assert (float(field.input_value()), page.url.partition("#")[2]) == (value, f"payload.mass={value:g}")
+        assert ("There are values outside the sliders (payload.mass=99)." in status.inner_text()) == is_said
+    # an end that has no short number, in the address with all digits or with four
+    duration = page.get_by_role("slider", name="duration of the motion")
+    duration.fill(duration.get_attribute("min"))
+    page.wait_for_timeout(500.0)
+    for address in (page.url, page.url.partition("#")[0] + "#payload.mass=18&duration=0.1433"):
+        page.evaluate(f"location.href = '{path.as_uri()}#'")
+        page.wait_for_timeout(300.0)
+        page.evaluate(f"location.href = {address!r}")
+        page.wait_for_timeout(500.0)
+        assert "outside" not in status.inner_text()
+        assert page.evaluate("[...page.live.state.values()]") == [18, pytest.approx(0.43 / 3.0, rel=1e-6)]
     page.evaluate("location.hash = '#payload.mass=-3&shaper=7'")
     page.wait_for_timeout(100.0)
     assert "outside the sliders (payload.mass=-3, shaper=7)" in page.locator(".status").inner_text()
@@ -449,7 +476,10 @@ def test_a_page_is_not_larger_than_its_limit(browser: Any, tmp_path: Path, monke
     path = run.live_report(tmp_path / "x.html")
     assert path.stat().st_size < 0.8 * whole
     page, problems = opened(browser, path)
-    assert "This page can't simulate all bits of the run, which would" in page.locator(".hero").inner_text()
+    assert (
+        "This page simulates within rounding of the run, because all of its bits would take more than 1 MB."
+        in page.locator(".hero").inner_text()
+    )
     assert "bits" not in page.locator(".status").inner_text()
     metrics = page.evaluate("page.live.usual.metrics")
     for name, metric in measure_run(run, 0).items():
@@ -463,12 +493,12 @@ def test_runs_beyond_the_room_of_a_page_stay_as_recorded(tmp_path: Path, monkeyp
     scene = load_scene("barnard2012-6kg")
     found = flexfmu.compare(scene, scene.replace({"name": "soft", "effects.proximal_bending": 2}))
     whole = found.page(live=True)
-    assert "can't simulate" not in whole.partition("<script>")[0]
+    assert "simulate soft" not in whole
     limit = len(whole) - 10_000
     monkeypatch.setattr("flexfmu.cosim.exchange.live.LARGEST", limit)
     text = found.page(live=True)
     assert len(text.encode()) <= limit
-    assert "This page can't simulate soft: the page would be larger than 1 MB." in text
+    assert "This page can't simulate soft: the page would be larger than 1 MB." in unescape(text)
 
 
 def opened(browser: Any, path: Path, scheme: str = "light") -> tuple[Any, list[str]]:
@@ -499,11 +529,11 @@ def test_a_shaper_is_switched_on(browser: Any, tmp_path: Path) -> None:
     path = flexfmu.run("barnard2012-6kg").live_report(tmp_path / "x.html")
     page, problems = opened(browser, path)
     page.get_by_label("input shaper").select_option("ZV shaper")
-    page.get_by_label("payload.mass").fill("-0.4")
+    page.get_by_role("slider", name="payload.mass").fill("-0.4")
     page.wait_for_timeout(800.0)
     page.get_by_role("button", name="copy as command").click()
     assert "--set 'shaper=[{ kind = \"zv\" }]'" in page.locator(".command").inner_text()
-    assert page.get_by_label("duration of the motion").is_disabled()
+    assert page.get_by_role("slider", name="duration of the motion").is_disabled()
     remarks = page.locator(".remarks").inner_text()
     assert "The duration stays as recorded: an input shaper acts on the motion." in remarks
     assert "stay as they were designed, for the recorded robot" in remarks
@@ -527,16 +557,16 @@ def test_a_shaper_is_switched_on(browser: Any, tmp_path: Path) -> None:
 def test_motors_stay_as_recorded(browser: Any, tmp_path: Path) -> None:
     """Where a slider moved, tables and charts that the page doesn't compute are marked; what it computes, and its names, aren't. The verdict's
     motor is that of the simulated run."""
-    motor = {"continuous_torque": 4.0, "peak_torque": 6.0, "maximum_speed": 400.0}
+    motor = {"continuous_torque": 3.0, "peak_torque": 4.0, "maximum_speed": 400.0}
     motor |= {"gear_ratio": 20.0, "gear_efficiency": 0.9, "rotor_inertia": 1e-4}
     scene = load_scene("barnard2012-6kg").replace({"motor": motor})
     page, problems = opened(browser, flexfmu.run(scene).live_report(tmp_path / "x.html"))
     motors = page.locator("details", has=page.locator("summary", has_text="Motors")).locator("td")
     caption = page.locator("figure", has=page.locator("h3", has_text="Torque over speed, motor 1")).locator(".caption")
     metrics = page.locator("tr", has=page.locator("[data-metric]")).locator("td")
-    stale = "cells => cells.map(each => each.classList.contains('stale'))"
+    stale, seen = "cells => cells.map(each => each.classList.contains('stale'))", set[bool]()
     for place, is_moved in (("-0.4", True), ("0", False)):
-        page.get_by_label("payload.mass").fill(place)
+        page.get_by_role("slider", name="payload.mass").fill(place)
         page.wait_for_timeout(800.0)
         for cells in (motors, caption):
             assert {*cells.evaluate_all(stale)} == {is_moved}
@@ -546,6 +576,9 @@ def test_motors_stay_as_recorded(browser: Any, tmp_path: Path) -> None:
         use, name, joint = max((limit.use, limit.name, load.joint) for load in loads for limit in load.margins)
         said = f"; motor {joint} needs {100.0 * use:.3g} % of its {name}."
         assert page.locator(".verdict").inner_text().endswith(said)
+        assert (said[:-1] in page.locator(".verdict .over").all_inner_texts()) == (use > 1.0)
+        seen.add(use > 1.0)
+    assert seen == {True, False}
     assert problems == []
     page.context.close()
 
@@ -559,7 +592,7 @@ def test_runs_side_by_side_have_common_sliders(browser: Any, tmp_path: Path, mon
     flexfmu.compare(scene, light, old).write(tmp_path, live=True)
     page, problems = opened(browser, tmp_path / "comparison.html", "dark")
     assert "This page can't simulate old: only its results are known." in page.locator(".hero").inner_text()
-    slider = page.get_by_label("payload.mass")
+    slider = page.get_by_role("slider", name="payload.mass")
     slider.fill("-0.4")
     page.wait_for_timeout(500.0)
     ratio = float(page.url.partition("#payload.mass=")[2]) / 6.0
@@ -606,11 +639,35 @@ def test_runs_side_by_side_have_common_sliders(browser: Any, tmp_path: Path, mon
     page.context.close()
 
 
+def test_what_simulates_stands_beside_what_does_not(browser: Any, tmp_path: Path) -> None:
+    """A first run that can't be simulated has other signals than the second, whose differences from it are known; the robot in motion is the
+    first one's. What is rounding is nothing."""
+    cycles = {"trajectory.way_back": "same-path", "trajectory.cycles": 2}
+    first = load_scene("barnard2012-6kg").replace({"name": "cycles", **cycles})
+    rigid = dict.fromkeys(("effects.proximal_bending", "effects.distal_axial"), 0)
+    second = load_scene("barnard2012-6kg").replace(
+        {"name": "rigid", "payload.mass": 4.0, "cosimulation.step": 4e-4, **rigid}
+    )
+    flexfmu.compare(first, second).write(tmp_path, live=True)
+    page, problems = opened(browser, tmp_path / "comparison.html")
+    assert "This page can't simulate cycles: its motion repeats." in page.locator(".hero").inner_text()
+    page.get_by_role("slider", name="payload.mass").fill("0.5")
+    page.wait_for_timeout(800.0)
+    assert page.locator(".alarm").inner_text() == ""
+    one, other = (number(each) for each in page.locator("td [data-metric=peak_torque_1]").all_inner_texts())
+    difference = page.locator("td [data-metric=peak_torque_1]").nth(1).inner_text().partition("(")[2]
+    assert number(difference) == pytest.approx(100.0 * (other / one - 1.0), rel=1e-2)
+    assert page.locator("td [data-metric=residual_vibration_amplitude]").nth(1).inner_text().split("(")[0] == "0 mm "
+    assert page.locator("figure", has_text="Scene").locator(".caption.stale").count() == 1
+    assert problems == []
+    page.context.close()
+
+
 def test_a_sweep_simulates_the_point_that_is_picked(browser: Any, tmp_path: Path) -> None:
     """Its case's own values, and those between cases; what no slider changes is said."""
     scene = load_scene("barnard2012-6kg")
     keys = {
-        "payload.mass": [2.0, 4.0, 6.0],
+        "payload.mass": [2.0, 4.0, 5.5],
         "trajectory.duration": [0.4, 0.43],
         "trajectory.dwell": [0.2, 0.25],
         "trajectory.profile": ["poly7"],
@@ -630,6 +687,13 @@ def test_a_sweep_simulates_the_point_that_is_picked(browser: Any, tmp_path: Path
     said = "This point isn't simulated: trajectory.dwell has no slider, and is 0.25 in the page."
     assert page.locator(".status").inner_text() == said
     assert "#" not in page.url
+    # beside the chart that was clicked, too
+    page.evaluate("""() => { const [panel] = page.charts.find(each => each.key === 'sweep-peak_torque_1').panels;
+      panel.chosen = [[{ 'payload.mass': 2, 'trajectory.dwell': 0.2 }]];
+      for (const each of ["pointerdown", "pointerup"]) panel.plot.over.dispatchEvent(new MouseEvent(each)); }""")
+    assert figure.locator(".said").inner_text() == said
+    # the slider has the scene's own value within
+    assert page.evaluate("page.live.sliders.find(({ name }) => name === 'payload.mass').high") == 6.0
     page.evaluate("page.pick([[{ 'payload.mass': 2, 'trajectory.dwell': 0.25 }, 'trajectory.profile=poly5']])")
     assert "trajectory.profile has no slider, and is poly7 in the page" in page.locator(".status").inner_text()
     # the first point of the line with the scene's own, which lies on that of the other dwell
@@ -638,6 +702,7 @@ def test_a_sweep_simulates_the_point_that_is_picked(browser: Any, tmp_path: Path
       return [plot.valToPos(x[0], 'x'), plot.valToPos(y[0], 'y')]; }"""
     left, top = page.evaluate(place)
     figure.locator(".u-over").hover(position={"x": left, "y": top})
+    assert figure.locator(".said").inner_text().count("duration") == 1
     figure.locator(".u-over").click(position={"x": left, "y": top})
     page.wait_for_timeout(800.0)
     assert page.url.endswith("#payload.mass=2&duration=0.4")
@@ -645,7 +710,7 @@ def test_a_sweep_simulates_the_point_that_is_picked(browser: Any, tmp_path: Path
     assert tile.inner_text() == f"{result[0]['peak_torque_1']:.4g} N·m"
     now = "page.charts.find(each => each.key === 'sweep-peak_torque_1').panels[0].curves.at(-1)"
     assert page.evaluate(f"[{now}.x[0], {now}.y[0]]") == pytest.approx([2.0, result[0]["peak_torque_1"]], rel=1e-6)
-    page.get_by_label("payload.mass").fill("5")
+    page.get_by_role("slider", name="payload.mass").fill("5")
     page.wait_for_timeout(500.0)
     expected = measure_run(flexfmu.run(scene.replace({"payload.mass": 5.0, "trajectory.duration": 0.4})), 0)
     assert tile.inner_text() == f"{expected['peak_torque_1'].value:.4g} N·m"
@@ -747,7 +812,7 @@ def test_a_notebook_s_page_is_accessible(browser: Any, tmp_path: Path) -> None:
     frame.locator("#live.ready").wait_for()
     tile = frame.locator(".tile [data-metric=peak_torque]")
     before = tile.inner_text()
-    frame.get_by_label("payload.mass").fill("-0.4")
+    frame.get_by_role("slider", name="payload.mass").fill("-0.4")
     page.wait_for_timeout(800.0)
     assert tile.inner_text() != before
     page.goto(f"file://{tmp_path / 'x.html'}")
@@ -803,6 +868,7 @@ def test_what_a_slider_breaks_is_said_first(browser: Any, tmp_path: Path) -> Non
         assert alarm.is_visible()
         assert alarm.get_attribute("role") == "alert"
         assert verdict.inner_text().startswith("Unstable.")
+        assert verdict.locator(".over").first.inner_text().strip() == "Unstable."
         if not run.completed:
             assert set(page.locator(".tile [data-metric]").all_inner_texts()) == {"–"}
     assert not run.completed

@@ -245,6 +245,15 @@ def test_a_zoom_between_points_shows_the_line_there(report: Any, run: Run) -> No
     assert (low, high) == pytest.approx((min(ends) - margin, max(ends) + margin), rel=2e-3)
 
 
+def test_the_name_of_a_mark_lies_on_no_curve(report: Any) -> None:
+    """There is a line for it above all curves."""
+    room = """page.charts.filter(({ overTime }) => overTime).flatMap(({ panels }) => panels.filter(({ marks }) => marks.length).map(({ plot, curves }) =>
+      plot.valToPos(Math.max(...curves.flatMap(({ y }) => [...y].filter(isFinite))), 'y')))"""
+    found = report.evaluate(room)
+    assert found
+    assert min(found) > 15.0
+
+
 def test_a_zoom_stays_in_another_window_and_plays(report: Any) -> None:
     """Limits are the same at another width, those to scale about the same middle; the robot moves within the part in view alone."""
     limits = """() => page.charts.filter(({ key }) => ['scene', 'torques'].includes(key)).map(({ panels: [{ shown }] }) => [shown.x, shown.y])"""

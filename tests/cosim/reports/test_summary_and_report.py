@@ -17,12 +17,15 @@ from flexfmu.cosim.engine.files import to_json
 from flexfmu.cosim.engine.master.simulator import Outcome
 from flexfmu.cosim.engine.results import Column
 from flexfmu.cosim.experiment.accuracy import AccuracyAnswer, FigureError, PricedSettings, WorkPrecisionTrial
+from flexfmu.cosim.experiment.cycles import in_cycles
 from flexfmu.cosim.experiment.metric import Metric
+from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.metric_table import COMMON_METRICS, display, metric
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.small_deflections import exceeded
-from flexfmu.cosim.reports.plots import LONGEST, draw_plots, magnification, path_panel, robot_motion, to_scale
+from flexfmu.cosim.reports.page import Figure
+from flexfmu.cosim.reports.plots import draw_plots, magnification, path_panel, rigid_motion, robot_motion, to_scale
 from flexfmu.cosim.reports.report import report_page
 from flexfmu.cosim.reports.summary import MOTOR_VALUES, describe_effects, summarise
 
@@ -39,7 +42,7 @@ class Tags(HTMLParser):
         assert self.open == []
 
     def handle_starttag(self, tag: str, attrs: object) -> None:
-        self.open += [tag] if tag not in {"meta", "br", "hr", "img", "link", "input"} else []
+        self.open += [tag] if tag not in {"meta", "br", "hr", "img", "link", "input", "wbr"} else []
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open.pop() == tag
@@ -305,15 +308,31 @@ def test_the_path_is_magnified_about_the_rigid_one(make_run: MakeRun) -> None:
     np.testing.assert_array_equal(magnified.more["time [s]"], run.recording.time)
 
 
-def test_of_a_long_run_the_end_is_shown(make_run: MakeRun) -> None:
-    """Of many cycles, in instants that are close enough for a vibration."""
-    run = make_run(changes={"trajectory.dwell": 3.0})
+@pytest.mark.parametrize(
+    ("changes", "begin"),
+    [({"trajectory.duration": 60.0}, 0.0), ({"trajectory.way_back": "same-path", "trajectory.cycles": 3}, 2 * 0.86)],
+    ids=["slow", "cycles"],
+)
+def test_a_slow_motion_is_shown_whole_and_of_cycles_the_last(
+    changes: dict[str, Any], begin: float, make_run: MakeRun
+) -> None:
+    """The robot in motion and the path."""
+    single = make_run()
+    motion = in_cycles(plan(single.scene.replace({"trajectory.dwell": 0.0, **changes})))
+    run = replace(single, plan=motion, recording=rigid_motion(motion))
     robot, (rigid, _) = robot_motion(run.plan, run.recording, run.robot), path_panel(run, 1.0).curves
     time = robot["rows"][0]
-    assert time[0] == pytest.approx(3.43 - LONGEST, abs=2e-3)
-    assert time[-1] == pytest.approx(3.43)
-    assert np.diff(time).max() < 5e-3
-    assert rigid.x.size == np.count_nonzero(run.recording.time >= 3.43 - LONGEST)
+    assert [time[0], time[-1]] == pytest.approx([begin, run.plan.stop_time], abs=1e-2)
+    assert robot["slower"] * np.ptp(time) == pytest.approx(6.0, rel=0.05)
+    # there is the whole motion
+    assert np.ptp(rigid.x) == pytest.approx(0.35, rel=1e-2)
+
+
+def test_figures_of_pages_have_the_numbers_of_their_script() -> None:
+    """A true minus, and powers of ten without a zero."""
+    texts = {1.234e-6: "1.23e−6", -1.234e-6: "−1.23e−6", -2.5: "−2.5", 1.0e7: "1e7"}
+    for value, text in texts.items():
+        assert Figure.of("mean_power_1", value, digits=3) == f"{text} W"
 
 
 @pytest.mark.parametrize(
