@@ -51,7 +51,7 @@ def test_no_robot_within_the_bands_leaves_more_than_is_said() -> None:
     """Of 60 drawn ones, with a shaper whose residual vibration changes fast with payload, stiffness and damping."""
     bands = {"plan.stiffness_band": 0.05, "plan.damping_band": 0.3, "trajectory.duration": 0.25}
     goals, random = goals_of(load_scene(STEEL).replace(bands)), np.random.default_rng(1)
-    judge, zv = Judge(goals), {"kind": "zv", "apply": "joints"}
+    judge, zv = Judge(goals, 25), {"kind": "zv", "apply": "joints"}
     said = judge.assess(candidate := Candidate("ZV", "csv", goals.scene.replace({"shaper": [zv]}))).residual
     low, high = zip(goals.band, (0.95, 1.05), (0.7, 1.3), strict=True)
     prepared = candidate.prepared()
