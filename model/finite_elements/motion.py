@@ -141,7 +141,7 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
         stages = start + h * (np.arange(count)[:, None] + METHOD.nodes)
         driven = joints.evaluate(stages.ravel(), 2, side="left").reshape(3, count, 3, 2)
         for n in range(count):
-            # predict: accelerations go on as the parabola of the step before; prescribe the motors
+            # predict the accelerations by the parabola through the stages of the step before, and prescribe the motors
             x, v = x[:, None] + h * METHOD.nodes * v[:, None], v[:, None] + np.zeros(3)
             a = a @ np.linalg.solve(np.vander(METHOD.nodes, 3).T, np.vander(1.0 + h / before * METHOD.nodes, 3).T)
             before = h

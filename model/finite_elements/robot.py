@@ -200,6 +200,7 @@ def _mapped(function: casadi.Function, index: Index, *states: RealArray) -> Real
 
 @lru_cache(maxsize=64)
 def _repeated(function: casadi.Function, count: int) -> casadi.Function:
+    """The function for so many columns at once; it takes as long to make as to evaluate."""
     return function.map(count)
 
 

@@ -73,7 +73,7 @@ BANDS = {
 """Robots within and beyond the payload band → factors of stiffness and damping, in the richest model."""
 
 PAYLOADS, MODEL_STEP = 7, 4e-4
-"""Payloads within the band for each model, and communication step of its runs [s]: six digits are those of half the step."""
+"""Payloads within the band for each model, and communication step of its runs [s]; half the step changes no figure in its first six digits."""
 
 ELEMENTS, ELEMENT_STEP, ELEMENT_DWELL = 4, 4e-4, 0.06
 """Elements of a link, step [s], and standstill after the motion [s] of the finite elements."""
