@@ -200,7 +200,7 @@ def _mapped(function: casadi.Function, index: Index, *states: RealArray) -> Real
 
 @lru_cache(maxsize=64)
 def _repeated(function: casadi.Function, count: int) -> casadi.Function:
-    """The function for so many columns at once; it takes as long to make as to evaluate."""
+    """The function of so many columns at once, made once for each number."""
     return function.map(count)
 
 
