@@ -115,7 +115,9 @@ class ElementMotion:
     torque: RealArray
 
 
-def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray, step: float) -> ElementMotion:
+def simulate(
+    robot: FiniteElementRobot, joints: Trajectory, instants: RealArray, step: float, *, stages: bool = False
+) -> ElementMotion:
     """Motion from the static equilibrium at the start; steps end at all breakpoints and instants.
 
     Args:
@@ -123,14 +125,15 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
         joints: motion of the motors [rad]; they stand still after its end.
         instants: instants to record (N,) [s], ascending, above zero.
         step: longest step [s]; the steps within an interval are equal.
+        stages: whether to record all stages of all steps, inner ones of an order less, instead of the instants alone.
 
     Raises:
         EquilibriumError: the start has no static equilibrium, or the iteration of a step doesn't converge.
     """
     x = equilibrium(robot, joints.evaluate(0.0, 0)[0, 0]).coordinates
     v, a, before = np.zeros(x.size), np.zeros((x.size, 3)), 1.0
-    end, motors, wanted = list(robot.mesh.end), list(MOTORS), set(instants.tolist())
-    factors, factors_step, recorded = None, 0.0, list[tuple[float, RealArray, RealArray, RealArray, RealArray]]()
+    end, motors = list(robot.mesh.end), list(MOTORS)
+    factors, factors_step, times, states = None, 0.0, list[RealArray](), list[tuple[RealArray, RealArray, RealArray]]()
     # intervals between instants and breakpoints; a breakpoint that equals an instant but for rounding is dropped
     stop = float(instants[-1])
     breakpoints = [t for t in joints.breakpoints if t < stop and np.abs(instants - t).min() > SAME_TIME * stop]
@@ -138,8 +141,9 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
         # equal steps within each interval; the motor motion at all stages at once
         count = math.ceil((finish - start) / step * (1.0 - 1e-9))
         h = (finish - start) / count
-        stages = start + h * (np.arange(count)[:, None] + METHOD.nodes)
-        driven = joints.evaluate(stages.ravel(), 2, side="left").reshape(3, count, 3, 2)
+        times.append(start + h * (np.arange(count)[:, None] + METHOD.nodes).ravel())
+        times[-1][-1] = finish
+        driven = joints.evaluate(times[-1], 2, side="left").reshape(3, count, 3, 2)
         for n in range(count):
             # predict the accelerations by the parabola through the stages of the step before, and prescribe the motors
             x, v = x[:, None] + h * METHOD.nodes * v[:, None], v[:, None] + np.zeros(3)
@@ -165,11 +169,12 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
                     break
             else:
                 raise EquilibriumError(
-                    f"the finite elements' forces don't balance at {stages[n, -1]:.6g} s: take smaller steps than {h:.3g} s"
+                    f"the finite elements' forces don't balance at {times[-1][3 * n + 2]:.6g} s: take smaller steps than {h:.3g} s"
                 )
+            states.append((x, v, a))
             # the last stage is the new state
             x, v = x[:, -1], v[:, -1]
-        if finish in wanted:
-            torque = robot.forces(*_columns(x, v, a[:, -1]))[motors, 0]
-            recorded.append((finish, x[end], v[end], a[end, -1], torque))
-    return ElementMotion(*(np.array(column) for column in zip(*recorded, strict=True)))
+    time = np.concatenate(times)
+    chosen = slice(None) if stages else np.isin(time, instants)
+    x, v, a = (np.hstack(each)[:, chosen] for each in zip(*states, strict=True))
+    return ElementMotion(time[chosen], x[end].T, v[end].T, a[end].T, robot.forces(x, v, a)[motors].T)

@@ -4,8 +4,8 @@ A link is a chain of elements; at a hinge, the nodes of two links share their po
 
 Deformation of an element is measured from the straight line between its nodes: the elongation, with the shortening due to bending,
 and the rotations of both ends. Within the element the deflection is that of a Timoshenko beam under end loads
-(Hermite's cubic for infinite shear stiffness); the axial displacement is linear. Forces follow from the energies by
-Lagrange's equations, with all inertial terms due to rotation.
+(Hermite's cubic for infinite shear stiffness); the axial displacement is linear. Forces follow from the virtual work of stress,
+weight and inertia, with all inertial terms due to rotation.
 
 Sources: Crisfield, Non-linear Finite Element Analysis of Solids and Structures 1 (1991), chapter 7 (co-rotational
 beams); Friedman and Kosmatka, An improved two-node Timoshenko beam finite element, Comput. Struct. 47 (1993)
@@ -279,20 +279,23 @@ def beam_element(section: BeamSection, length: float, gravity: tuple[float, floa
         gravity: gravitational acceleration [m/s²].
         damping_time: retardation time of the Kelvin-Voigt material [s].
     """
-    # energies and dissipation
+    # places and angles of cross-sections with their inertia and gravity
     x, v, a = (casadi.SX.sym(name, COORDINATES) for name in "xva")
     shear = 0.0 if np.isinf(section.shear) else 12.0 * section.bending / (section.shear * length**2)
-    kinetic = _kinetic_energy(section, length, shear, x, v)
-    deformation = _deformation(length, shear, x)
-    potential = 0.5 * _form(_stiffness(section, length, shear), deformation)
-    points = (w * _point(length, shear, x, xi) for xi, w in zip(POINTS, WEIGHTS, strict=True))
-    potential -= section.mass * length * casadi.dot(casadi.SX(list(gravity)), sum(points, casadi.SX(2, 1)))
-    lost = 0.5 * damping_time * _form(_stiffness(section, length, shear), casadi.jtimes(deformation, x, v))
-    # Lagrange's equations, and their Jacobians for Newton's method
-    momentum = casadi.gradient(kinetic, v)
-    force = casadi.jtimes(momentum, x, v) + casadi.jtimes(momentum, v, a)
-    force += casadi.gradient(potential - kinetic, x) + casadi.gradient(lost, v)
+    places = casadi.vertcat(*(_section(length, shear, x, xi) for xi in POINTS))
+    inertia = length * np.kron(WEIGHTS, [section.mass, section.mass, section.rotary])
+    field = casadi.SX([*gravity, 0.0] * len(POINTS))
+    # stress resultants of the deformation and its rate
+    deformation, stiffness = _deformation(length, shear, x), casadi.SX(_stiffness(section, length, shear))
+    stress = stiffness @ (deformation + damping_time * casadi.jtimes(deformation, x, v))
+    # virtual work of inertia, weight and stress, and its Jacobians for Newton's method
+    velocities = casadi.jtimes(places, x, v)
+    accelerations = casadi.jtimes(velocities, x, v) + casadi.jtimes(places, x, a)
+    force = casadi.jtimes(places, x, inertia * (accelerations - field), True)
+    force = casadi.cse(force + casadi.jtimes(deformation, x, stress, True))
     tangent = casadi.vertcat(*(casadi.vec(casadi.jacobian(force, z)) for z in (x, v, a)))
+    kinetic = 0.5 * casadi.dot(inertia, velocities**2)
+    potential = 0.5 * casadi.dot(deformation, stiffness @ deformation) - casadi.dot(inertia * field, places)
     return BeamElement(
         force=_function("force", [x, v, a], force),
         tangent=_function("tangent", [x, v, a], tangent),
@@ -301,20 +304,7 @@ def beam_element(section: BeamSection, length: float, gravity: tuple[float, floa
 
 
 def _function(name: str, arguments: list[casadi.SX], result: casadi.SX) -> casadi.Function:
-    return casadi.Function(name, arguments, [casadi.densify(casadi.cse(result))])
-
-
-def _kinetic_energy(section: BeamSection, length: float, shear: float, x: casadi.SX, v: casadi.SX) -> casadi.SX:
-    """Kinetic energy of the displacements and of the rotation of the sections [J]."""
-    total, line = casadi.SX(0), x[3:5] - x[0:2]
-    for xi, weight in zip(POINTS, WEIGHTS, strict=True):
-        velocity = casadi.jtimes(_point(length, shear, x, xi), x, v)
-        # angle of the cross section, up to whole turns
-        angle = casadi.atan2(line[1], line[0]) + casadi.dot(casadi.SX(_deflection(shear, xi)[2]), _ends(x))
-        rate = casadi.jtimes(angle, x, v)
-        density = section.mass * casadi.dot(velocity, velocity) + section.rotary * rate**2
-        total += 0.5 * weight * length * density
-    return total
+    return casadi.Function(name, arguments, [casadi.densify(result)])
 
 
 def _deformation(length: float, shear: float, x: casadi.SX) -> casadi.SX:
@@ -349,12 +339,14 @@ def _ends(x: casadi.SX) -> casadi.SX:
     return casadi.vertcat(*turned)
 
 
-def _point(length: float, shear: float, x: casadi.SX, xi: float) -> casadi.SX:
-    """Position (2, 1) [m] of the axis at xi in 0..1."""
-    line = x[3:5] - x[0:2]
+def _section(length: float, shear: float, x: casadi.SX, xi: float) -> casadi.SX:
+    """Position of the axis [m] and angle of the cross-section, up to whole turns [rad], at xi in 0..1, (3, 1)."""
+    line, (value, _, turning) = x[3:5] - x[0:2], map(casadi.SX, _deflection(shear, xi))
     normal = casadi.vertcat(-line[1], line[0]) / casadi.norm_2(line)
-    across = length * casadi.dot(casadi.SX(_deflection(shear, xi)[0]), _ends(x))
-    return x[0:2] + xi * line + across * normal
+    ends = _ends(x)
+    across = length * casadi.dot(value, ends)
+    angle = casadi.atan2(line[1], line[0]) + casadi.dot(turning, ends)
+    return casadi.vertcat(x[0:2] + xi * line + across * normal, angle)
 
 
 def _deflection(shear: float, xi: float) -> tuple[RealArray, RealArray, RealArray]:

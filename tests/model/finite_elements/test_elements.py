@@ -121,6 +121,17 @@ def test_integrator_has_its_order() -> None:
         assert np.log2(coarse / fine) == pytest.approx(5.0, abs=0.4), key
 
 
+def test_stages_within_steps_err_by_an_order_less() -> None:
+    """What plans look at between the ends of steps: halving the step divides errors of all stages by 2^4, within 0.3."""
+    motion, robot, errors = plan(SCENE), finite_element_robot(SCENE, 1), list[list[float]]()
+    for step in (2e-3, 1e-3):
+        found = simulate(robot, motion.joints, np.array([0.02]), step, stages=True)
+        exact = simulate(robot, motion.joints, found.time, 2e-4)
+        keys = ("position", "velocity", "acceleration", "torque")
+        errors.append([np.abs(getattr(found, key) - getattr(exact, key)).max() for key in keys])
+    assert np.log2(np.divide(*errors)) == pytest.approx(4.0, abs=0.3)
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
