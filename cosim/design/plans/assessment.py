@@ -26,7 +26,7 @@ from flexfmu.cosim.many.prepared_scene import PreparedScene
 from flexfmu.cosim.metrics.metric_table import PLAN_FIGURES, definition, metric
 from flexfmu.cosim.metrics.metrics import RecordedPower, RecordedSignal, RecordedSolution, settings_for
 from flexfmu.cosim.metrics.motors import motor_loads
-from flexfmu.cosim.metrics.signals import POSITION, TORQUES, deviation_from_point, position
+from flexfmu.cosim.metrics.signals import TORQUES, deviation_from_point, position, sample, segments
 from flexfmu.cosim.metrics.stress import link_stresses
 from flexfmu.model.reference_design.elastic_response import ElasticResponse, Rest
 from flexfmu.model.reference_design.loads import OF_CYCLE, ROOTS, weight_of_squares
@@ -41,8 +41,8 @@ from flexfmu.trajectories.trajectory import Trajectory
 Method = Literal["given", "search", "flexible references", "optimal control", "csv"]
 """Where a candidate comes from."""
 
-STEP, TOLERANCE = 2e-4, 1e-8
-"""Communication step [s] and tolerance of the runs that judge."""
+STEP, TOLERANCE = 4e-4, 1e-8
+"""Communication step [s] and tolerance of the runs that judge; where they are worst is looked for at the middle of steps too."""
 
 SAME_PLACE = 1e-5
 """Distance [m] within which a user's motion starts and ends where the scene's does."""
@@ -112,9 +112,9 @@ class Candidate:
         """Its references of the joints, with shapers; errors as of `loop`."""
         return self.loop.motion.joints
 
-    def prepared(self, step: float = STEP) -> PreparedScene:
+    def prepared(self, step: float = STEP, tolerance: float = TOLERANCE) -> PreparedScene:
         """The candidate, ready for runs; errors as of `loop`."""
-        return PreparedScene(self.loop.motion.scene, loop=self.loop, communication_step=step, tolerance=TOLERANCE)
+        return PreparedScene(self.loop.motion.scene, loop=self.loop, communication_step=step, tolerance=tolerance)
 
 
 def own_candidate(scene: Scene, name: str, motion: OwnMotion | Trajectory) -> Candidate:
@@ -257,11 +257,11 @@ class Judge:
         goals: limits, bands and clearance.
         payloads: number of payloads within their band; 0 for `JUDGED`.
         journal: where assessments are kept.
-        step: communication step of the runs [s].
+        accuracy: communication step [s] and tolerance of the runs; none for `STEP` and `TOLERANCE`.
     """
 
-    def __init__(self, goals: Goals, payloads: int = 0, journal: WorkJournal = NOWHERE, step: float = STEP) -> None:
-        self.goals, self.payloads, self.journal, self.step = goals, payloads or JUDGED, journal, step
+    def __init__(self, goals: Goals, payloads: int = 0, journal: WorkJournal = NOWHERE, *accuracy: float) -> None:
+        self.goals, self.payloads, self.journal, self.accuracy = goals, payloads or JUDGED, journal, accuracy
         # those of the way with most robots
         self.robots = max((each.variations(self.payloads) for each in goals.ways), key=len)
 
@@ -327,10 +327,9 @@ class Judge:
         if candidate.cycle:
             values, times = self._of_cycle(self.of_ways(candidate))
         else:
-            prepared, joints, needs = candidate.prepared(self.step), candidate.joints, list[tuple[Values, Values]]()
-            for each in self.robots:
-                run = completed(prepared.run(each.changes(self.goals.scene)), f"{candidate.label} with {each}")
-                needs.append(self._of_run(run))
+            prepared, joints = candidate.prepared(*self.accuracy), candidate.joints
+            runs = ((each, prepared.run(each.changes(self.goals.scene))) for each in self.robots)
+            needs = [self._of_run(completed(run, f"{candidate.label} with {each}")) for each, run in runs]
             values, times = (
                 {name: np.array([each[name] for each in rows]) for name in rows[0]} for rows in zip(*needs, strict=True)
             )
@@ -350,10 +349,12 @@ class Judge:
     def _of_run(self, run: Run) -> tuple[Values, Values]:
         """What the robot of a run needs by figure (1,), or (2,) of both joints, and instants of some figures."""
         recording, end, settings = run.recording, run.plan.duration, settings_for(run)
-        time, torques = recording.time, np.column_stack([recording[name].values for name in TORQUES])
-        points = np.column_stack([recording[name].values for name in POSITION])[time <= end]
+        motion, (time, torques) = position(recording), sample(segments(recording, TORQUES), 3)
+        # the ends of steps are starts of the next ones
+        moving = (time <= end) & (np.arange(len(time)) % 3 < 2)
+        points, instants = sample(motion, 3)[1][moving], time[moving]
         off, depth = np.abs(self.goals.path.distance(points)[0]), -self.goals.clearance.along(points)
-        vibrating = position(recording).within(end + self.goals.wishes.settled_within, math.inf)
+        vibrating = motion.within(end + self.goals.wishes.settled_within, math.inf)
         residual = RecordedSignal(deviation_from_point(vibrating, settings.end_equilibrium))
         # mean squares over the pause of a cycle instead of the dwell, at the end of which the robot rests
         dwell, pause = time[-1] - end, self.goals.pause
@@ -397,8 +398,8 @@ class Judge:
         if "stress" in self.goals.limits:
             combined = [each.combined.value for each in link_stresses(run) if each.combined is not None]
             values["stress"] = [max(combined, default=0.0)]
-        instants = {"torque": np.abs(torques).argmax(axis=0), "off_path": [off.argmax()], "clearance": [depth.argmax()]}
-        return values, {name: time[index] for name, index in instants.items()}
+        worst = time[np.abs(torques).argmax(axis=0)], instants[[off.argmax()]], instants[[depth.argmax()]]
+        return values, dict(zip(("torque", "off_path", "clearance"), worst, strict=True))
 
     def _weight(self, figure: str, period: float) -> RealArray:
         """What an integral of squares in a period [s] counts for both motors (2,) [1/s], see `weight_of_squares`."""

@@ -74,8 +74,8 @@ BANDS = {
 }
 """Robots within and beyond the payload band → factors of stiffness and damping, in the richest model."""
 
-PAYLOADS, MODEL_STEP = 7, 4e-4
-"""Payloads within the band for each model, and communication step of its runs [s]; half the step changes no figure in its first six digits."""
+PAYLOADS, ACCURACY = 7, (8e-4, 3e-7)
+"""Payloads within the band for each model, and communication step [s] and tolerance of its runs; half of both change figures by less than 0.001 %."""
 
 ELEMENTS, ELEMENT_STEP, ELEMENT_DWELL = 4, 8e-4, 0.06
 """Elements of a link, step [s], and standstill after the motion [s] of the finite elements; half the step changes figures by less than 0.01 %."""
@@ -293,7 +293,7 @@ def _assessed(
     """The line of another model of the robot."""
     scene = goals.scene.replace({**changes})
     of_model = goals_of(Variation(scene.payload.mass, stiffness, damping).of(scene))
-    judge = Judge(replace(of_model, regions=goals.clearance), PAYLOADS, step=MODEL_STEP)
+    judge = Judge(replace(of_model, regions=goals.clearance), PAYLOADS, NOWHERE, *ACCURACY)
     robot = {key: getattr(judge.goals.scene, key) for key in ("mechanism", "effects", "payload")}
     return _line(name, judge.assess(replace(fixed, scene=fixed.scene.model_copy(update=robot))))
 

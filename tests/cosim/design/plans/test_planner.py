@@ -25,7 +25,7 @@ from flexfmu.cosim.design.plans import assessment, planner
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, own_candidate
 from flexfmu.cosim.design.plans.goals import Variation, check_holding_torque, goals_of
 from flexfmu.cosim.design.plans.plan_result import FRONT, PlanResult, plan_page, write_plan, write_scene
-from flexfmu.cosim.design.plans.planner import about_plan, best, plan_scene
+from flexfmu.cosim.design.plans.planner import about_plan, best, plan_scene, robustness
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.experiment.scene_build import build_scene
@@ -112,7 +112,7 @@ def test_no_motion_of_the_front_is_worse_in_everything_than_another(result: Plan
 def test_an_assessment_has_the_metrics_of_the_run(result: PlanResult) -> None:
     for each in (result.given, result.chosen):
         changes = {"payload.mass": each.robots[-1].payload}
-        precise = {"communication_step": 2e-4, "tolerance": 1e-8}
+        precise = {"communication_step": assessment.STEP, "tolerance": assessment.TOLERANCE}
         run = flexfmu.run(GOALS.scene, trajectory=each.candidate.trajectory, parameters=changes, **precise)
         assert each.values["residual"][-1, 0] == pytest.approx(
             float(run.metrics["residual_vibration_amplitude"]), abs=1e-12
@@ -146,7 +146,7 @@ def test_files_say_the_same_and_the_planned_scene_runs_to_the_stated_figures(
         assert heading in page
     scene = flexfmu.load_scene("there/planned.toml")
     assert scene.trajectory.dwell == GOALS.scene.trajectory.dwell
-    run = flexfmu.run(scene, communication_step=2e-4, tolerance=1e-8)
+    run = flexfmu.run(scene, communication_step=assessment.STEP, tolerance=assessment.TOLERANCE)
     nominal = next(k for k, each in enumerate(result.chosen.robots) if math.isclose(each.payload, 6.0))
     assert run.plan.duration == pytest.approx(result.chosen.time, abs=1e-15)
     assert float(run.metrics["residual_vibration_amplitude"]) == pytest.approx(
@@ -215,6 +215,19 @@ def test_what_no_motion_reaches_is_said() -> None:
     assert tiles[1][1] == "Residual vibration, limit 1e-06 µm"
     assert [label.partition(",")[0] for values, label in tiles if 'class="over"' in values] == ["Residual vibration"]
     assert page.count(' class="over">no</span>') == 1
+
+
+def test_finer_runs_change_no_figure_of_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half the steps and less tolerance leave four digits, of the planned model and of all others."""
+    candidate = stretched(0.9)
+    plain = {line.model: [line.residual, line.torque_ratio] for line in robustness(candidate, goals_of(SCENE))}
+    monkeypatch.setattr(Candidate.prepared, "__defaults__", (2e-4, 1e-9))
+    monkeypatch.setattr(planner, "ACCURACY", (4e-4, 1e-8))
+    monkeypatch.setattr(planner, "ELEMENT_STEP", 4e-4)
+    for line in robustness(candidate, goals_of(SCENE)):
+        if line.model not in planner.LOOPS:
+            figures = [line.residual, line.torque_ratio]
+            assert plain[line.model] == pytest.approx(figures, rel=5e-5, nan_ok=True), line.model
 
 
 def test_ctrl_c_gives_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -321,7 +334,7 @@ def test_an_empty_gripper_is_planned(band: float | list[float], heaviest: float)
     assert found.failures == ()
     assert max(each.payload for each in found.chosen.robots) == heaviest
     assert found.scene.payload.mass == 0.0
-    run = flexfmu.run(scene, communication_step=2e-4, tolerance=1e-8)
+    run = flexfmu.run(scene, communication_step=assessment.STEP, tolerance=assessment.TOLERANCE)
     assert float(run.metrics["peak_torque_1"]) == pytest.approx(found.given.values["torque"][0, 0], rel=1e-6)
 
 
