@@ -668,11 +668,13 @@ def plan(
             show("compiling the planned motion for its page", None)
             write_whole(folder / "live.html", live_page(run_scene(load_scene(files[0]))))
             files.append(folder / "live.html")
-        table = None
+        data, table = summary(result), None
         if export is not None:
             show("the motion as a drive reads it", None)
             table = result.drive_table(**sampling)
+            data["drive"] = _drive(table)
             files.append(write_whole(export, table.to_csv()))
+            write_whole(folder / "plan.json", to_json(data))
     is_spent = budget is not None and monotonic() - started > budget
     if not result.interrupted:
         journal.remove()
@@ -684,7 +686,7 @@ def plan(
     names = [str(path) for path in files]
     console.print_result(
         json,
-        {**summary(result), **({} if table is None else {"drive": _drive(table)}), "files": names},
+        {**data, "files": names},
         *_shown_plan(result),
         *([] if table is None else [_shown_drive(table)]),
         f"results: {', '.join(names)}",

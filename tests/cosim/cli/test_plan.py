@@ -145,6 +145,8 @@ def test_a_table_that_swings_more_than_wished_is_a_miss(tmp_path: Path) -> None:
         assert ("instead of 1 µm of residual vibration" in text) is (counts == "4096")
         assert ("the robot can't follow them" in text) is (counts == "1")
         assert ("raise --rate or --counts" in text) is bool(status)
+        drive = json.loads((tmp_path / "out" / "plan.json").read_text())["drive"]
+        assert (drive["unit"], drive["met"]) == ("count", not status)
 
 
 @pytest.fixture(scope="module")
