@@ -192,14 +192,15 @@ class _Integration:
     def respond(self, references: RealArray, duration: float, by: RealArray) -> tuple[RealArray, ...]:
         """The outputs (P, N, k) and the end state (P, 2, n), and their derivatives by design variables."""
         z, n = self._solved(references, duration), self._model.n
-        *_, end = self._integrated(z, self._start)
+        q, v, end = self._integrated(z, self._start)
         end[:, 1] /= duration
         if not by.shape[2]:
-            outputs = self._values(z, references, duration)[..., n:]
+            outputs = self._model.values(q, v / duration, z / duration**2, references)[..., n:]
             return outputs, end, np.empty((*outputs.shape, 0)), np.empty((*end.shape, 0))
         values, by_z, by_state, by_references = self._linearised(z, references, duration)
-        matrices = _Matrices(self._steps, by_z, by_state)
-        outputs_by, end_by = matrices.derivatives(by_z, by_state, by_references, by)
+        matrices = _Matrices(self._steps, by_z, by_state).kept()
+        single = (each.astype(np.float32) for each in (by_z, by_state, by_references, by))
+        outputs_by, end_by = matrices.derivatives(*single)
         self.matrices = matrices.kept(self._shared)
         end_by[:, 1] /= duration
         end_by[:, 1, :, -1] -= end[:, 1] / duration
@@ -209,10 +210,12 @@ class _Integration:
         """Stage values z (P, N, n) that satisfy the equations of motion, by Newton's method with kept matrices."""
         z, before, n = self._guess, math.inf, self._model.n
         matrices = self.matrices or self._renewed(z, references, duration)
+        q, v, _ = self._integrated(z, self._start)
         for _ in range(ITERATIONS):
-            change = matrices.solved(self._values(z, references, duration)[..., :n])
-            size = float(np.abs(self._integrated(change, 0.0)[0]).max(initial=0.0))
-            z = z - change
+            forces = self._model.values(q, v / duration, z / duration**2, references)[..., :n]
+            change = matrices.solved(forces)
+            of_q, of_v, _ = self._integrated(change, 0.0)
+            z, q, v, size = z - change, q - of_q, v - of_v, float(np.abs(of_q).max(initial=0.0))
             if size < self._accuracy:
                 self._guess = z
                 return z
@@ -240,10 +243,6 @@ class _Integration:
         q = places + (h * METHOD.nodes)[:, np.newaxis] * rates + h * h * (METHOD.twice @ of_step)
         v = rates + h * (METHOD.matrix @ of_step)
         return q.reshape(z.shape), v.reshape(z.shape), np.stack([place[:, -1], rate[:, -1]], axis=1)
-
-    def _values(self, z: RealArray, references: RealArray, duration: float) -> RealArray:
-        q, rate, _ = self._integrated(z, self._start)
-        return self._model.values(q, rate / duration, z / duration**2, references)
 
     def _renewed(self, z: RealArray, references: RealArray, duration: float) -> _Matrices:
         self.matrices = None
@@ -293,7 +292,7 @@ class _Matrices:
         of_forces = by_z[:, :, :, :n].reshape(count, some, 3 * n, 3 * n)
         self._inverse: NDArray[Any] = np.linalg.inv(of_forces)
         self._by_state: NDArray[Any] = self._inverse @ by_state[:, :, :, :n].reshape(count, some, 3 * n, 2 * n)
-        self._weights = np.stack([h * h * METHOD.whole_twice, h * METHOD.whole])
+        self._weights: NDArray[Any] = np.stack([h * h * METHOD.whole_twice, h * METHOD.whole])
         self._transition = np.kron(np.array([[1.0, h], [0.0, 1.0]]), np.eye(n)) - self._added(self._by_state)
 
     def kept(self, shared: int = 1) -> Self:
@@ -301,7 +300,7 @@ class _Matrices:
         some = slice(shared // 2, None, shared)
         self._inverse = self._inverse[:, some].astype(np.float32)
         self._by_state = self._by_state[:, some].astype(np.float32)
-        self._transition = self._transition.astype(np.float32)
+        self._transition, self._weights = self._transition.astype(np.float32), self._weights.astype(np.float32)
         return self
 
     def solved(self, loads: RealArray) -> RealArray:
@@ -366,7 +365,7 @@ class _Matrices:
     def _states(self, loads: RealArray) -> RealArray:
         """States (P, steps + 1, 2 n, r) from rest, with additions (P, steps, 2 n, r) in each step."""
         count, steps, size, columns = loads.shape
-        states = np.zeros((count, steps + 1, size, columns))
+        states = np.zeros((count, steps + 1, size, columns), loads.dtype)
         for k in range(steps):
             states[:, k + 1] = self._transition[:, k * self._transition.shape[1] // steps] @ states[:, k] + loads[:, k]
         return states

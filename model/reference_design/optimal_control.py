@@ -1,8 +1,8 @@
 """Optimal joint references of one motion or of a cycle, within limits that hold for several variants of a robot, by sequential convex
 programming.
 
-The first stage has few variants and a loose bound on the residual vibration; the bound then falls, with more variants. In the end
-all variants are evaluated on a finer grid: its end state corrects that of the coarse one, the worst variants join the others, and
+The first stage has few variants and a loose bound on the residual vibration, all others more variants and the bound that is wanted. Before each of
+these all variants are evaluated on a finer grid: its end state corrects that of the coarse one, the worst variants join the others, and
 what still lies between them tightens the limits.
 
 The elastic motion is eliminated: `ElasticResponse` gives torques, end effector and end state of all variants with exact
@@ -751,8 +751,8 @@ class Stage:
         return tuple(motion.moved(step[way.columns]) for way, motion in zip(self.ways, motions, strict=True))
 
 
-LOOSE, FALL = 2e-5, 12.0
-"""Bound of the residual vibration [m] in the first stages, and about how much it falls from each to the next."""
+LOOSE = 2e-5
+"""Bound of the residual vibration [m] in the first stage."""
 
 NODES = 9
 """Number of variants that the programmes have: 7 payloads within 30 % leave 1 µm of residual vibration between them."""
@@ -811,17 +811,12 @@ def optimal_motion(
     ways, limit, loose = problem.ways, problem.residual, max(problem.residual, problem.loose)
     count, motions, parts = len(ways[0].robots), tuple(way.start for way in ways), max(map(_parts, ways))
     chosen = np.array(spread(count, NODES) if nodes is None else nodes)
-    # few variants, then all nodes, with a bound that falls
-    levels = max(1, round(math.log(loose / limit, FALL)))
-    bounds = np.geomspace(loose, limit, levels + 1)[:-1].tolist()
-    stages = [(chosen[spread(len(chosen), 3)], loose), *((chosen, bound) for bound in bounds)]
-    if loose == limit:
-        # the first motion is near the best one
-        stages = []
     penalty = PENALTY[0]
-    for few, bound in stages:
-        stage = Stage(problem.tightened({"residual": limit / bound}).of_cases(few), motions, parts, aim)
-        for better in map(_improvement, stage.improvements(iterations, penalty)):
+    if loose > limit:
+        # few variants first; otherwise the first motion is near the best one
+        few = problem.tightened({"residual": limit / loose}).of_cases(chosen[spread(len(chosen), 3)])
+        stage = Stage(few, motions, parts, aim)
+        for better in map(_improvement, stage.improvements(iterations)):
             motions = better.motions
             yield better
         penalty = max(PENALTY[0], min(4.0 * stage.penalty, 10.0))
