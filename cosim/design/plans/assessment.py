@@ -44,6 +44,9 @@ Method = Literal["given", "search", "flexible references", "optimal control", "c
 STEP, TOLERANCE = 4e-4, 1e-8
 """Communication step [s] and tolerance of the runs that judge; where they are worst is looked for at the middle of steps too."""
 
+WITHIN = 5
+"""Instants of a step, with both ends, among which the largest force in a joint is found: as for stresses."""
+
 SAME_PLACE = 1e-5
 """Distance [m] within which a user's motion starts and ends where the scene's does."""
 
@@ -393,7 +396,8 @@ class Judge:
         # forces in elbows and between the legs and the end effector; no stress in rigid links
         if "reaction" in self.goals.limits:
             joints = [f"{place}{leg}" for place in ("elbow", "leg") for leg in (1, 2)]
-            x, y = ([recording[f"{joint}.reaction.{axis}"].values for joint in joints] for axis in "xy")
+            sides = (segments(recording, [f"{joint}.reaction.{axis}" for joint in joints]) for axis in "xy")
+            x, y = (sample(each, WITHIN)[1] for each in sides)
             values["reaction"] = [np.hypot(x, y).max()]
         if "stress" in self.goals.limits:
             combined = [each.combined.value for each in link_stresses(run) if each.combined is not None]

@@ -230,6 +230,26 @@ def test_finer_runs_change_no_figure_of_a_plan(monkeypatch: pytest.MonkeyPatch) 
             assert plain[line.model] == pytest.approx(figures, rel=5e-5, nan_ok=True), line.model
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_judged_figures_are_those_of_much_finer_runs(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of drawn robots, stiff and soft, slow and fast, with peaks of forces and stresses between recorded instants."""
+    draw = np.random.default_rng(seed).uniform
+    changes = {
+        "mechanism.material.youngs_modulus": 10.0 ** draw(10.5, 11.6),
+        "payload.mass": 10.0 ** draw(-1.3, 0.8),
+        "trajectory.duration": draw(0.2, 0.5),
+        "plan.limits": {"reaction": 1e5, "stress": 1e10},
+    }
+    goals = goals_of(flexfmu.load_scene("barnard2012-0.1kg").replace(changes))
+    found = Judge(goals, 3).given
+    monkeypatch.setattr(Candidate.prepared, "__defaults__", (5e-5, 1e-10))
+    goals.judged.clear()
+    fine = Judge(goals, 3).given
+    for name, values in fine.values.items():
+        rounding = {"reaction": 3e-4, "stress": 3e-4, "off_path": 1e-2, "clearance": 1e-2}.get(name, 2e-5)
+        assert found.values[name] == pytest.approx(values, rel=rounding, abs=1e-9), name
+
+
 def test_ctrl_c_gives_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
     def search(*_: object) -> Iterator[Candidate]:
         yield stretched(1.3)
