@@ -659,8 +659,10 @@ def plan(
             journal=journal,
         )
         show("writing the results", None)
-        files = write_plan(result, folder) + (write_scene(result, output) if output is not None else [])
-        if live:
+        files, data, table = write_plan(result, folder), summary(result), None
+        if files and output is not None:
+            files += write_scene(result, output)
+        if files and live:
             from flexfmu.cosim.exchange.live import live_page
             from flexfmu.cosim.many.prepared_scene import run_scene
             from flexfmu.model.scene.file import load_scene
@@ -668,8 +670,7 @@ def plan(
             show("compiling the planned motion for its page", None)
             write_whole(folder / "live.html", live_page(run_scene(load_scene(files[0]))))
             files.append(folder / "live.html")
-        data, table = summary(result), None
-        if export is not None:
+        if files and export is not None:
             show("the motion as a drive reads it", None)
             table = result.drive_table(**sampling)
             data["drive"] = _drive(table)
@@ -682,14 +683,15 @@ def plan(
         console.show_note(message)
     if result.interrupted:
         cause = f"the budget of {budget:g} s is spent" if is_spent else "interrupted"
-        console.show_note(f"{cause}: this is the best motion so far")
+        console.show_note(f"{cause}: this is the best motion so far" if files else cause)
     names = [str(path) for path in files]
+    kept = [f"{folder} keeps the motion of an earlier plan, which isn't worse: nothing is written."]
     console.print_result(
         json,
         {**data, "files": names},
-        *_shown_plan(result),
+        *(_shown_plan(result) if files else kept),
         *([] if table is None else [_shown_drive(table)]),
-        f"results: {', '.join(names)}",
+        f"results: {', '.join(names) or folder}",
     )
     is_missed = bool(result.missed) or (table is not None and not table.use.met)
     return console.FAILURE if is_missed or (result.interrupted and not is_spent) else 0

@@ -5,10 +5,14 @@ The page has how close the chosen motion comes to each limit and where, and the 
 
 from __future__ import annotations
 
+import contextlib
+import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from hashlib import sha256
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,6 +31,7 @@ from flexfmu.cosim.engine.files import OutputFolder, to_json
 from flexfmu.cosim.engine.showing import Rows, shown_unit
 from flexfmu.cosim.experiment.metric import RunMetrics
 from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.many.journal import about_scene
 from flexfmu.cosim.metrics.metric_table import PLAN_FIGURES, definition, display
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.metrics.signals import POSITION
@@ -49,6 +54,9 @@ if TYPE_CHECKING:
 
 FILE = "planned.toml"
 """Usual name of the planned scene."""
+
+OF_PLANS = re.compile(r"(planned(-\d+)?|front-\d+(-\d+)?)\.(toml|csv)|live\.html")
+"""Names of files that a plan may leave beside those that each one writes."""
 
 NAMES, COLOURS = ("given", "planned"), (PALETTE[0], PALETTE[1])
 """Of the two motions."""
@@ -410,23 +418,44 @@ def write_scene(result: PlanResult, path: Path) -> list[Path]:
 
 
 def write_plan(result: PlanResult, folder: Path) -> list[Path]:
-    """Write planned scene, front and report into a folder.
+    """Write planned scene, front and report into a folder, and remove those of an earlier plan.
 
     Returns:
         The files: ``planned.toml`` (with ``planned.csv`` for a motion of the joints), ``front.csv``, ``plan.json`` and
-        ``plan.html``.
+        ``plan.html``. None if the plan was interrupted, and the folder has a motion as good for the same scene and wishes, which stays.
 
     Raises:
         ResultsError: a file can't be written.
     """
-    out = OutputFolder(folder)
+    out, chosen = OutputFolder(folder), result.chosen
     out.prepare()
+    if result.interrupted and _standing(folder, result) <= (chosen.excess, chosen.worst(result.goals.wishes.minimise)):
+        return []
     written = write_scene(result, folder / FILE)
     # those of a front that was asked for, to choose from
     for number, each in enumerate(result.table if result.goals.wishes.front else (), 1):
         written += write_scene(replace(result, chosen=each), folder / f"front-{number}.toml")
     texts = {"front.csv": result.to_csv(), "plan.json": to_json(summary(result)), "plan.html": plan_page(result)}
-    return written + [out.write(name, text) for name, text in texts.items()]
+    written += [out.write(name, text) for name, text in texts.items()]
+    for path in folder.iterdir():
+        if OF_PLANS.fullmatch(path.name) and path not in written:
+            out.remove(path.name)
+    return written
+
+
+def _standing(folder: Path, result: PlanResult) -> tuple[float, float]:
+    """The excess over limits, and what is minimised, of the motion that a folder has for the same scene and wishes; infinite for none."""
+    with contextlib.suppress(OSError, ValueError, LookupError, TypeError):
+        there = json.loads((folder / "plan.json").read_text())
+        if there["work"] == _work(result.goals):
+            return float(there["chosen"]["excess"]), float(there["chosen"][result.goals.wishes.minimise])
+    return math.inf, math.inf
+
+
+def _work(goals: Goals) -> str:
+    """What tells scene and wishes from others."""
+    about = [about_scene(each) for each in (goals.scene, goals.loop) if each is not None]
+    return sha256(json.dumps(about).encode()).hexdigest()
 
 
 def summary(result: PlanResult) -> dict[str, Any]:
@@ -434,7 +463,8 @@ def summary(result: PlanResult) -> dict[str, Any]:
 
     def figures(each: Assessment) -> dict[str, Any]:
         keys = "name", "value", "limit", "unit", "where", "met"
-        return each.row | {"limits": [{key: getattr(use, key) for key in keys} for use in each.uses]}
+        limits = [{key: getattr(use, key) for key in keys} for use in each.uses]
+        return each.row | {"excess": each.excess, "limits": limits}
 
     def of_way(each: Assessment) -> dict[str, Any]:
         # what is relative to the given cycle, and what adds up over it, is limited for the cycle alone
@@ -443,6 +473,7 @@ def summary(result: PlanResult) -> dict[str, Any]:
 
     data = {
         "scene": result.goals.scene.name,
+        "work": _work(result.goals),
         "minimise": result.goals.wishes.minimise,
         "payloads": list(result.goals.band),
         "given": figures(result.given),

@@ -250,6 +250,21 @@ def test_judged_figures_are_those_of_much_finer_runs(seed: int, monkeypatch: pyt
         assert found.values[name] == pytest.approx(values, rel=rounding, abs=1e-9), name
 
 
+def test_an_interrupted_plan_leaves_a_better_one_and_no_file_is_of_another(result: PlanResult, tmp_path: Path) -> None:
+    """With the same scene and wishes; otherwise, or if it is better, it takes its place, and what isn't its own goes."""
+    poor = replace(result, chosen=result.given, interrupted=True)
+    names = ["front.csv", "plan.html", "plan.json", "planned.toml"]
+    (tmp_path / "notes.toml").touch()
+    for found, written in ((poor, names), (result, ["planned.csv", *names]), (poor, [])):
+        before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+        assert sorted(path.name for path in write_plan(found, tmp_path)) == sorted(written)
+        there = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+        assert there == before if not written else sorted(there) == sorted(["notes.toml", *written])
+    wider = replace(poor, goals=replace(GOALS, scene=GOALS.scene.replace({"plan.margin": 2e-3})))
+    assert write_plan(wider, tmp_path)
+    assert not (tmp_path / "planned.csv").exists()
+
+
 def test_ctrl_c_gives_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
     def search(*_: object) -> Iterator[Candidate]:
         yield stretched(1.3)
