@@ -199,7 +199,8 @@ class _Integration:
             return outputs, end, np.empty((*outputs.shape, 0)), np.empty((*end.shape, 0))
         values, by_z, by_state, by_references = self._linearised(z, references, duration)
         matrices = _Matrices(self._steps, by_z, by_state).kept()
-        single = (each.astype(np.float32) for each in (by_z, by_state, by_references, by))
+        # single precision is enough for programmes
+        single: list[NDArray[Any]] = [each.astype(np.float32) for each in (by_z, by_state, by_references, by)]
         outputs_by, end_by = matrices.derivatives(*single)
         self.matrices = matrices.kept(self._shared)
         end_by[:, 1] /= duration

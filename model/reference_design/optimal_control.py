@@ -237,7 +237,7 @@ ENOUGH = 1e-3
 
 
 Aim = Literal["time", "torque", "rms_torque", "energy", "residual", "limits"]
-"""What is minimised; all but time at a given duration. The aim "residual" is a motion without any at the least RMS torques, "limits" one
+"""What is minimised; all but time at a given duration. The aim "residual" is the least RMS torques within its bound, "limits" a motion
 near the first that meets them."""
 
 PEAK = 8

@@ -152,7 +152,7 @@ def optimal(judge: Judge, found: Sequence[Assessment], processes: int, show: Sho
             yield from refined("other", [_spline(best.candidate.joints)])
 
     yield from from_start_to_start()
-    if goals.wishes.front:
+    if goals.wishes.front or goals.wishes.minimise == "residual":
         yield from _front(goals, found[0], motions, improver)
 
 
@@ -260,8 +260,12 @@ LEVELS, LIFTED = (10, 4), 1e3
 def _front(
     goals: Goals, given: Assessment, robots: Sequence[Robots], improver: Improver[JointSpline]
 ) -> Iterator[Candidate | str]:
-    """What is minimised for many levels of the front's other figures, each from the motion of the level before."""
-    axes: list[str] = [each for each in goals.wishes.front if each != goals.wishes.minimise]
+    """What is minimised for many levels of the front's other figures, each from the motion of the level before.
+
+    The least residual vibration is found so too, at the last level that a motion reaches.
+    """
+    figures = goals.wishes.front
+    axes: list[str] = [each for each in figures if each != goals.wishes.minimise] or ["residual"]
     own = {name: Limit(name, 1.0, "1", is_relative=True) for name in axes if name != "residual"}
     units = limited(replace(goals, limits={**goals.limits, **own}), given, robots)
     # from what the motion needs without these limits on, or from where the wishes end
@@ -269,14 +273,14 @@ def _front(
     for name in own:
         usual = given.values[name][given.values[name] > 0.0]
         natural[name] = float((goals.limit(name, usual) / usual).min(initial=LIFTED))
-    levels = [np.geomspace(1.0, FRONT_TO[name][0], LEVELS[len(axes) - 1]).tolist() for name in axes]
+    levels = [np.geomspace(1.0, FRONT_TO[name][0], LEVELS[len(axes) - 1 if figures else 1]).tolist() for name in axes]
     # forth and back, so that neighbours follow each other
     grid = [(first, *more) for k, first in enumerate(levels[0]) for more in list(product(*levels[1:]))[:: (-1) ** k]]
     last, before = None, dict[str, float]()
     for number, shares in enumerate(grid):
         factors = {name: natural[name] * share for name, share in zip(axes, shares, strict=True)}
         excess = {name: 1.0 / factor for name, factor in factors.items()}
-        label = f"front, {number + 1} of {len(grid)}"
+        label = f"{'front' if figures else 'least residual'}, {number + 1} of {len(grid)}"
         level = replace(improver, made=partial(_candidate, goals, label), near=NEAR_FRONT, tries=2)
         if last is None:
             motions, starts, loose = [way.start for way in units.ways], _shares(goals, given), optimal_control.LOOSE
