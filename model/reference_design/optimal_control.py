@@ -821,7 +821,7 @@ def optimal_motion(
             yield better
         penalty = max(PENALTY[0], min(4.0 * stage.penalty, 10.0))
     # all variants on the fine grid
-    fine, excess = Stage(problem, motions, FINER * parts, aim), dict[str, float]()
+    fine = Stage(problem, motions, FINER * parts, aim)
     exact = fine.scaled(fine.state(motions, derivatives=False, renewed=True))
     for _ in range(ROUNDS):
         # the worst variants join the nodes
@@ -829,7 +829,7 @@ def optimal_motion(
         around = np.pad(residuals, 1)
         is_worst = (residuals >= np.maximum(around[:-2], around[2:])) & (residuals > JOINING * limit)
         chosen = np.unique([*chosen, *np.flatnonzero(is_worst)])
-        stage = Stage(problem.tightened(excess).of_cases(chosen), motions, parts, aim)
+        stage = Stage(problem.of_cases(chosen), motions, parts, aim)
         coarse = stage.state(motions, derivatives=False, renewed=True)
         for there, here in zip(exact.ways, coarse.ways, strict=True):
             robots = [there.way.robots.index(each) for each in here.way.robots]
@@ -843,17 +843,13 @@ def optimal_motion(
         missed = {name: each for name, each in exact.violations.items() if each > CHECKED[name]}
         yield replace(_improvement(exact), checked=not missed)
         # programmes that don't meet their limits by any step won't meet tighter ones
-        is_stuck = all(now is then for now, then in zip(motions, before, strict=True))
-        if not missed or (is_stuck and max(better.violations.values()) > MET):
+        if not missed or (motions == before and max(better.violations.values()) > MET):
             return
         # what else lies between them, or between instants, tightens the limits
-        for name, violation in missed.items():
-            if name == "clearance":
-                excess[name] = excess.get(name, 0.0) + DEPTH * violation
-            else:
-                is_residual = name == "residual"
-                factor = min(float(exact.bounds.max()) / limit, TIGHTER) if is_residual else (1.0 + violation) / 0.9998
-                excess[name] = excess.get(name, 1.0) * factor
+        factors = {name: (1.0 + violation) / 0.9998 for name, violation in missed.items()}
+        residual = min(float(exact.bounds.max()) / limit, TIGHTER)
+        own = {"residual": residual, "clearance": DEPTH * missed.get("clearance", 0.0)}
+        problem = problem.tightened(factors | {name: each for name, each in own.items() if name in missed})
         # with the worst case of each load
         sizes = [(name, share) for name, (share, *_) in exact.loads.items()]
         for way in exact.ways:

@@ -120,7 +120,7 @@ class Goals:
         scene: the given scene, from a start at rest, with a dwell that shows the residual vibration.
         wishes: its section `plan`.
         limits: by name; ``clearance`` is that of a depth.
-        payload: mass that the planned scene has [kg]; `scene` has the heaviest of the band in place of none.
+        payload: mass that the planned scene has [kg], in the band or not; `scene` has the heaviest of the band in place of none.
         own: the given motion of the joints where it isn't the scene's.
         pause: time at rest after the motion that RMS torques contain [s]: of a cycle, or the given scene's dwell.
         loop: the scene with the controllers that will follow the planned motion; None for motors that follow exactly.
@@ -460,9 +460,7 @@ def _check_duration(goals: Goals) -> None:
     turns = np.array([np.abs(np.diff(each.ends, axis=0)).max() for each in goals.ways])
     peaks = np.max([peak_rates(each.given.once.joints) for each in goals.ways], axis=0)
     for k, name in enumerate(RATES):
-        if name not in goals.limits:
-            continue
-        value = float(goals.limits[name].resolved(peaks[k]))
+        value = float(goals.limit(name, peaks[k]))
         # the shortest times from rest to rest: at full speed, by full acceleration, by full jerk
         shortest = (turns / value, 2 * (turns / value) ** 0.5, (32 * turns / value) ** (1 / 3))[k]
         least = float(shortest.sum()) + goals.rest

@@ -73,6 +73,9 @@ TRIES, SURE, SLOWER = 5, 1.02, 1.05
 """Motions that are judged from one start, at most, the factor on what one exceeds limits by, and that on its time for the next
 start, if it exceeds one by more: a slower one has room to reach the limits."""
 
+FEWER, NEAR_LIMITS = 0.9, 1.1
+"""Share of the excess before to which a correction lowers it where another one is worthwhile, and the excess up to which one always is."""
+
 ACTIVE, FULL, FULL_RESIDUAL = 0.98, 0.999, 0.9
 """Share of a limit from which on it is active, and shares of limits and of the residual vibration that motions may use."""
 
@@ -229,13 +232,16 @@ class Improver(Generic[Motion]):
                 yield f"{' from '.join(map(str, key))}, try {number + 1}: no motion can be planned"
                 break
             motions, is_near = tried
-            candidate = self.made(motions)
+            made, again = self.made(motions), f", try {number + 1}" * (number > 0)
+            candidate = replace(made, label=f"{made.label}{again}")
             yield candidate
             if not is_near:
                 break
             judged = self.judge.assess(candidate)
+            # what hardly falls with the limits, as what a loop leaves by itself
+            is_stuck = last is not None and judged.excess > max(NEAR_LIMITS, FEWER * last[1].excess)
             last, factors = (motions, judged), corrections(judged)
-            if not factors or (judged.feasible and not (gives_back and is_free)):
+            if is_stuck or not factors or (judged.feasible and not (gives_back and is_free)):
                 break
             gives_back = gives_back and not judged.feasible
             # what the FMU finds beyond the limits is taken off them, from this motion on
@@ -281,7 +287,7 @@ def _front(
         factors = {name: natural[name] * share for name, share in zip(axes, shares, strict=True)}
         excess = {name: 1.0 / factor for name, factor in factors.items()}
         label = f"{'front' if figures else 'least residual'}, {number + 1} of {len(grid)}"
-        level = replace(improver, made=partial(_candidate, goals, label), near=NEAR_FRONT, tries=2)
+        level = replace(improver, made=partial(_candidate, goals, label), near=NEAR_FRONT, tries=3)
         if last is None:
             motions, starts, loose = [way.start for way in units.ways], _shares(goals, given), optimal_control.LOOSE
         else:

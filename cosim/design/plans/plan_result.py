@@ -254,15 +254,17 @@ class PlanResult(Rows):
     def front(self) -> tuple[Assessment, ...]:
         """The candidates, the given motion included, of which no other is better in every figure of `axes`; the fastest first.
 
-        A motion that misses a limit isn't better than one that keeps all. The chosen motion is always there.
+        A motion that misses a limit isn't better than one that keeps all. The chosen motion is always there. A front that was asked for has
+        no motions that miss limits beside the given one, unless all do.
         """
         # the chosen one first, so that none like it replaces it
         everyone = sorted((self.given, *self.assessed), key=lambda each: (each is not self.chosen, each.time))
-        values, kept = np.array([[each.worst(name) for name in self.axes] for each in everyone]), list[int]()
+        if self.goals.wishes.front and self.chosen.feasible:
+            everyone = [each for each in everyone if each.feasible or each is self.given]
+        values, kept = np.array([[*map(each.worst, self.axes), not each.feasible] for each in everyone]), list[int]()
         for k, each in enumerate(everyone):
-            others = values[[other.feasible or not each.feasible for other in everyone]]
-            is_beaten = ((others <= values[k]).all(axis=1) & (others < values[k]).any(axis=1)).any()
-            is_there = np.isclose(values[kept], values[k], rtol=ALIKE, atol=0.0).all(axis=1).any()
+            is_beaten = ((values <= values[k]).all(axis=1) & (values < values[k]).any(axis=1)).any()
+            is_there = np.isclose(values[kept, :-1], values[k, :-1], rtol=ALIKE, atol=0.0).all(axis=1).any()
             if each is self.chosen or not (is_beaten or is_there):
                 kept.append(k)
         return tuple(sorted((everyone[k] for k in kept), key=lambda each: each.time))
@@ -281,21 +283,24 @@ class PlanResult(Rows):
 
     @property
     def verdict(self) -> str:
-        """Whether the chosen motion keeps to all limits, in a sentence."""
+        """Whether the chosen motion keeps to all limits, in a sentence with what may help where it doesn't."""
+        if self.interrupted and not self.assessed:
+            return "no motion was judged before the interruption; this is the given one"
+        missed, duration, remedy = {use.figure for use in self.missed}, self.goals.wishes.duration, ""
+        if duration is not None and missed - {"loop_residual"}:
+            remedy = f': {duration:g} s may be too short, `minimise = "time"` without `duration` tells the shortest'
+        if "loop_residual" in missed:
+            remedy += ": finer encoders, shorter sample times or other gains leave less in the loop"
         if not self.assessed:
-            return "no motion could be planned; this is the given one"
-        if self.missed:
-            listed = [
-                f"{use.name} {_shown(use, use.value)} instead of {_shown(use)} ({use.where})" for use in self.missed
-            ]
-            so_far = " so far" if self.interrupted else ""
-            in_loop = any(use.name == "loop_residual" for use in self.missed)
-            remedy = ": finer encoders, shorter sample times or other gains leave less in the loop" if in_loop else ""
-            return f"no motion found{so_far} keeps all limits; the nearest misses {', '.join(listed)}{remedy}"
+            return f"no motion could be planned; this is the given one{remedy}"
         uses = sorted(self.chosen.uses, key=lambda use: -use.share)
-        closest = [use for use in uses if use is uses[0] or use.share > BINDING]
-        listed = [f"{use.name} {_shown(use, use.value)} of {_shown(use)} ({use.where})" for use in closest]
-        return f"all limits are kept; the closest {'is' if len(closest) == 1 else 'are'} {', '.join(listed)}"
+        named = self.missed or [use for use in uses if use is uses[0] or use.share > BINDING]
+        of = "instead of" if missed else "of"
+        listed = ", ".join(f"{use.name} {_shown(use, use.value)} {of} {_shown(use)} ({use.where})" for use in named)
+        if missed:
+            so_far = " so far" * self.interrupted
+            return f"no motion found{so_far} keeps all limits; the nearest misses {listed}{remedy}"
+        return f"all limits are kept; the closest {'is' if len(named) == 1 else 'are'} {listed}"
 
     def row_units(self) -> Mapping[str, str]:
         """Figure → unit."""

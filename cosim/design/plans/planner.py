@@ -182,6 +182,11 @@ def plan_scene(
             f'`cosimulation.initial = "undeformed"` starts {1e6 * away:.3g} µm off the equilibrium, and the robot swings from there '
             f'whatever the motion: planned from rest, `initial = "static"`, which the planned scene has'
         )
+    if not min(goals.band) <= goals.payload <= max(goals.band):
+        failures.append(
+            f"`plan.payload_band` = {[*goals.band]} is without `payload.mass` = {goals.payload:g} kg, which the planned scene has: "
+            f"limits may not hold there; set `payload.mass` to one of the band, or widen the band"
+        )
     candidates = [replace(each, scene=judged_scene(each.scene, goals.wishes)) for each in candidates]
 
     def proposed() -> Iterator[Candidate | str]:
@@ -190,7 +195,9 @@ def plan_scene(
             for name in (each for each in METHODS if each in attempt):
                 with noted(failures, name):
                     yield from METHODS[name](judge, found, processes, watched)
-            if any(each.feasible and each.candidate.method == "optimal control" for each in found):
+            # what a loop leaves is no motion's, whatever the method
+            optima = [each for each in found if each.candidate.method == "optimal control"]
+            if any({use.figure for use in each.missed} <= {"loop_residual"} for each in optima):
                 return
 
     def watched(text: str, share: float | None) -> None:

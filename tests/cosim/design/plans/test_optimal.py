@@ -10,7 +10,9 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -24,7 +26,7 @@ from flexfmu.cosim.design.plans import assessment
 from flexfmu.cosim.design.plans import optimal as method
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge
 from flexfmu.cosim.design.plans.goals import LEAST_DWELL, Goals, goals_of
-from flexfmu.cosim.design.plans.optimal import flexible, optimal
+from flexfmu.cosim.design.plans.optimal import Improver, flexible, optimal
 from flexfmu.cosim.design.plans.plan_result import PlanResult, planned_scenes, summary, write_plan
 from flexfmu.cosim.design.plans.planner import plan_scene
 from flexfmu.cosim.design.plans.sampled_loop import loop_run, with_learned_torques
@@ -228,6 +230,34 @@ def test_rms_torques_of_the_given_motion_have_its_swing_as_in_the_fmu(dwell: flo
     squares = method._given_needs(goals, robots, ["rms_torque"])["rms_torque"][0]
     found = np.sqrt(squares / (goals.given.once.duration + dwell))
     assert found == pytest.approx(usual, rel=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("shares", "count"),
+    [
+        ((10.86, 10.5, 10.51, 10.49), 2),  # what a loop leaves by itself
+        ((9.0, 6.0, 5.0, 4.8, 4.0), 4),
+        ((1.3, 1.09, 1.085, 0.99), 4),
+        ((1.3, 1.09, 1.085, 1.08, 1.07), 5),
+    ],
+)
+def test_limits_are_tightened_as_long_as_that_helps(goals: Goals, shares: tuple[float, ...], count: int) -> None:
+    """Each correction lowers what is missed by a tenth, or it is nearly kept; motions of the same start have names of their own."""
+    candidates, problem = iter(shares), MagicMock()
+    problem.tightened.return_value.begun.return_value = problem
+    limit = replace(goals.limits["residual"], figure="loop_residual")
+
+    def assess(candidate: Candidate) -> Assessment:
+        kept = goals.limits["residual"].used(0.95 * limit.limit)
+        used = limit.used(next(candidates) * limit.limit)
+        return Assessment(candidate, (), {}, {}, (kept, used))
+
+    judge: Any = SimpleNamespace(goals=goals, assess=assess)
+    improver = Improver[JointSpline](judge, lambda _: Candidate("made", "csv", goals.scene), (), "time", _silent)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Improver, "best", lambda *_: ([], True))
+        tried = [each for each in improver.refined(("drawn",), problem) if isinstance(each, Candidate)]
+    assert [each.label for each in tried] == ["made", *(f"made, try {k}" for k in range(2, count + 1))]
 
 
 @pytest.mark.slow

@@ -109,6 +109,17 @@ def test_no_motion_of_the_front_is_worse_in_everything_than_another(result: Plan
     assert [each.time for each in result.front] == sorted(each.time for each in result.front)
 
 
+def test_a_front_to_choose_from_keeps_all_limits(result: PlanResult) -> None:
+    """Motions that miss some are there only where no motion keeps all."""
+    wishes = result.goals.wishes.model_copy(update={"front": ("time", "power")})
+    asked = replace(result, goals=replace(result.goals, wishes=wishes))
+    wide = next(each for each in result.assessed if each.candidate.label == "wide corners")
+    assert wide in result.front
+    assert asked.chosen in asked.front
+    assert all(each.feasible for each in asked.front if each is not asked.given)
+    assert wide in replace(asked, chosen=wide, assessed=(wide,)).front
+
+
 def test_an_assessment_has_the_metrics_of_the_run(result: PlanResult) -> None:
     for each in (result.given, result.chosen):
         changes = {"payload.mass": each.robots[-1].payload}
@@ -217,6 +228,43 @@ def test_what_no_motion_reaches_is_said() -> None:
     assert page.count(' class="over">no</span>') == 1
 
 
+def test_too_short_a_duration_is_said_with_what_tells_the_shortest() -> None:
+    """Whether no motion was found, one that misses the time, or one that misses other limits within it."""
+    scene = SCENE.replace({"plan.minimise": "energy", "plan.duration": 0.2})
+    remedy = ': 0.2 s may be too short, `minimise = "time"` without `duration` tells the shortest'
+    nothing, slow, fast = (
+        plan_scene(scene, methods=(), candidates=each, robust=False)
+        for each in ([], [stretched(0.9)], [stretched(0.2 / SPLINE.duration)])
+    )
+    assert nothing.verdict == f"no motion could be planned; this is the given one{remedy}"
+    for each in (slow, fast):
+        assert each.verdict.startswith("no motion found keeps all limits; the nearest misses ")
+        assert each.verdict.endswith(remedy)
+
+
+def test_what_the_loop_alone_leaves_too_much_is_no_work_for_other_methods(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where optimal control keeps all other limits; the verdict names what would help."""
+    usual = Judge.assess
+
+    def assess(self: Judge, candidate: Candidate) -> Assessment:
+        found = usual(self, candidate)
+        return replace(found, uses=(*found.uses, Limit("loop_residual", 1e-6, "m").used(1e-5, "loop")))
+
+    def others(*_: object) -> Iterator[Candidate]:
+        raise AssertionError
+
+    monkeypatch.setattr(Judge, "assess", assess)
+    methods = {"search": others, "optimal": lambda *_: iter([stretched(1.2)])}
+    monkeypatch.setattr(planner, "METHODS", methods)
+    scene = SCENE.replace({"plan.residual": 1e-3, "plan.keep_out": []})
+    found = plan_scene(scene, robust=False)
+    assert [use.figure for use in found.missed] == ["loop_residual"]
+    assert found.verdict.endswith(": finer encoders, shorter sample times or other gains leave less in the loop")
+    # other limits may be kept by other methods
+    with pytest.raises(AssertionError):
+        plan_scene(scene.replace({"plan.limits.speed": {"ratio": 0.1}}), robust=False)
+
+
 def test_finer_runs_change_no_figure_of_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half the steps and less tolerance leave four digits, of the planned model and of all others."""
     candidate = stretched(0.9)
@@ -289,6 +337,7 @@ def test_ctrl_c_within_a_run_ends_the_plan_too(monkeypatch: pytest.MonkeyPatch) 
     found = plan_scene(SCENE, methods=(), candidates=[stretched(1.2), stretched(1.3)], robust=False)
     assert found.interrupted
     assert found.failures == found.assessed == ()
+    assert found.verdict == "no motion was judged before the interruption; this is the given one"
 
 
 def test_ctrl_c_within_optimal_control_judges_what_it_has() -> None:
@@ -359,6 +408,15 @@ def test_an_undeformed_start_is_planned_from_rest() -> None:
     # without gravity there is nothing to swing from
     weightless = undeformed.replace({"effects.gravity": [0.0, 0.0]})
     assert plan_scene(weightless, methods=(), robust=False).failures == ()
+
+
+def test_a_band_without_the_own_payload_is_said() -> None:
+    """The planned scene has that payload all the same."""
+    (note,) = plan_scene(SCENE.replace({"plan.payload_band": [3.0, 5.0]}), methods=(), robust=False).failures
+    assert note.startswith(
+        "`plan.payload_band` = [3.0, 5.0] is without `payload.mass` = 6 kg, which the planned scene has"
+    )
+    assert plan_scene(SCENE.replace({"plan.payload_band": [5.0, 6.0]}), methods=(), robust=False).failures == ()
 
 
 @pytest.mark.parametrize(("band", "heaviest"), [(0.3, 0.0), ([0.0, 1.0], 1.0)])
