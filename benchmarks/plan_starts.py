@@ -54,11 +54,11 @@ def shares(scene: Scene, number: int, seed: int) -> list[float]:
     assert isinstance(given, JointSpline)
     for start in first_motions(given, number, seed):
         try:
-            *_, last = optimal_motion(problem.begun([start], loose=LOOSE), range(len(variations)))
+            *_, ((motion,), violations) = optimal_motion(problem.begun([start], loose=LOOSE), range(len(variations)))
         except (EquilibriumError, TrajectoryError):
             continue
-        if max(last.violations.values()) < MET:
-            found.append(last.motions[0].duration / judge.given.time)
+        if max(violations.values()) < MET:
+            found.append(motion.duration / judge.given.time)
     return found
 
 

@@ -774,21 +774,9 @@ PHASE, FINER = 2.5, 2
 """Phase [rad] of the faster of the two lowest modes of the lightest robot in a step of the coarse grid, at most, and how much finer the other grid is."""
 
 
-@dataclass(frozen=True, eq=False)
-class Improvement:
-    """Motions on the way to the best ones.
-
-    Attributes:
-        motions: the joint references of each way.
-        violations: largest relative violation of each of `GROUPS` among the variants that were considered; 0 where it is met.
-        residual: bound of the displacement of the end effector by vibration after a way, of these variants [m].
-        checked: whether all variants meet all limits on the fine grid.
-    """
-
-    motions: Motions
-    violations: Mapping[str, float]
-    residual: float
-    checked: bool
+Improvement = tuple[Motions, Mapping[str, float]]
+"""Motions on the way to the best ones, and the largest relative violation of each of `GROUPS` among the variants that were considered; 0 where it is
+met."""
 
 
 def optimal_motion(
@@ -803,7 +791,7 @@ def optimal_motion(
         aim: what is minimised; all but time in the durations of the first motions.
 
     Yields:
-        Motions on the way; the last ones with ``checked`` are the best that meet all limits.
+        Motions on the way; the last ones are the best if all variants meet the limits on the fine grid, within `CHECKED`.
 
     Raises:
         EquilibriumError: the first motions have no elastic motion.
@@ -816,9 +804,8 @@ def optimal_motion(
         # few variants first; otherwise the first motion is near the best one
         few = problem.tightened({"residual": limit / loose}).of_cases(chosen[spread(len(chosen), 3)])
         stage = Stage(few, motions, parts, aim)
-        for better in map(_improvement, stage.improvements(iterations)):
-            motions = better.motions
-            yield better
+        for motions, violations in map(_improvement, stage.improvements(iterations)):
+            yield motions, violations
         penalty = max(PENALTY[0], min(4.0 * stage.penalty, 10.0))
     # all variants on the fine grid
     fine = Stage(problem, motions, FINER * parts, aim)
@@ -836,14 +823,13 @@ def optimal_motion(
             here.way.vibration.error = there.loads.response.end[robots] - here.loads.response.end
             here.way.vibration.matrices = there.way.vibration.matrices[robots]
         before = motions
-        for better in map(_improvement, stage.improvements(iterations, penalty)):
-            motions = better.motions
-            yield better
+        for motions, violations in map(_improvement, stage.improvements(iterations, penalty)):
+            yield motions, violations
         exact = fine.scaled(fine.state(motions, derivatives=False, renewed=True))
         missed = {name: each for name, each in exact.violations.items() if each > CHECKED[name]}
-        yield replace(_improvement(exact), checked=not missed)
+        yield _improvement(exact)
         # programmes that don't meet their limits by any step won't meet tighter ones
-        if not missed or (motions == before and max(better.violations.values()) > MET):
+        if not missed or (motions == before and max(violations.values()) > MET):
             return
         # what else lies between them, or between instants, tightens the limits
         factors = {name: (1.0 + violation) / 0.9998 for name, violation in missed.items()}
@@ -873,4 +859,4 @@ def spread(count: int, number: int) -> list[int]:
 
 
 def _improvement(state: State) -> Improvement:
-    return Improvement(state.motions, state.violations, float(state.bounds.max()), checked=False)
+    return state.motions, state.violations

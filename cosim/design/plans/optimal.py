@@ -194,23 +194,23 @@ class Improver(Generic[Motion]):
         cases = range(len(problem.ways[0].robots))
 
         def found() -> Optimum:
-            last: Any = None
+            last: Any = ((), {})
             # few cases have no others between them
             some = self.nodes if max(self.nodes) in cases else cases
             try:
                 for last in optimal_control.optimal_motion(problem, some, aim=self.aim):
-                    time = self.judge.goals.rest + sum(each.duration for each in last.motions)
+                    time = self.judge.goals.rest + sum(each.duration for each in last[0])
                     self.show(f"{key[0]} over the bands: {time:.4g} s", None)
             except EquilibriumError:
                 # too fast for the links: a slower start may do
                 return None
             except KeyboardInterrupt:
                 # the best motion so far is judged all the same
-                candidates = [] if last is None else [self.made(last.motions)]
+                candidates = [self.made(last[0])] if last[0] else []
                 raise KeyboardInterrupt(
                     *(replace(each, label=f"{each.label}, interrupted") for each in candidates)
                 ) from None
-            return [each.variables.tolist() for each in last.motions], max(last.violations.values())
+            return [each.variables.tolist() for each in last[0]], max(last[1].values())
 
         kept = self.judge.journal.kept(key, Optimum, found)
         if kept is None:

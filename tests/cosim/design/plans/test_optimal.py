@@ -172,7 +172,7 @@ def test_what_the_fmu_finds_beyond_a_limit_is_taken_off_it(
             found = response.of_motion(motion := start.with_duration(float(duration)), derivatives=False)
             is_met = (np.abs(found.torque).max(axis=1) < 1.2 * limits["torque"][:3]).all()
             if is_met and all((found.loads.max(axis=(1, 2)) < 1.2 * each).all() for each in forces.values()):
-                yield Improvement((motion,), dict.fromkeys(GROUPS, 0.0), 0.0, checked=True)
+                yield (motion,), dict.fromkeys(GROUPS, 0.0)
                 return
 
     monkeypatch.setattr(method.optimal_control, "optimal_motion", optimistic)
@@ -269,7 +269,7 @@ def test_attempts_that_miss_by_far_are_seen(monkeypatch: pytest.MonkeyPatch) -> 
         assert isinstance(start, JointSpline)
         if start.duration < 0.25:
             raise EquilibriumError("too fast")
-        yield Improvement((start,), dict.fromkeys(GROUPS, 1.0), 1.0, checked=False)
+        yield (start,), dict.fromkeys(GROUPS, 1.0)
 
     monkeypatch.setattr(method.optimal_control, "optimal_motion", far_off)
     monkeypatch.setattr(method, "STARTS", (0.65, 0.5, 0.8))
