@@ -353,10 +353,10 @@ class PlanResult(Rows):
 
 def _shown(use: Limit, value: float | None = None) -> str:
     """A limit, or a value of what it limits, in the unit of tables."""
-    value = use.limit if value is None else value
-    if use.is_relative or use.figure not in PLAN_FIGURES:
+    value, figure = use.limit if value is None else value, use.figure.removeprefix("loop_")
+    if use.is_relative or figure not in PLAN_FIGURES:
         return f"{value:.4g} {shown_unit(use.unit)}".rstrip()
-    return display(use.figure, value, 4)
+    return display(figure, value, 4)
 
 
 def check_drive(rate: float, unit: str, counts: float | None) -> None:

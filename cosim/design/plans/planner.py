@@ -195,9 +195,7 @@ def plan_scene(
             for name in (each for each in METHODS if each in attempt):
                 with noted(failures, name):
                     yield from METHODS[name](judge, found, processes, watched)
-            # what a loop leaves is no motion's, whatever the method
-            optima = [each for each in found if each.candidate.method == "optimal control"]
-            if any({use.figure for use in each.missed} <= {"loop_residual"} for each in optima):
+            if any(each.feasible and each.candidate.method == "optimal control" for each in found):
                 return
 
     def watched(text: str, share: float | None) -> None:
