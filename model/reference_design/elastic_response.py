@@ -21,7 +21,6 @@ from typing import Any, Self
 import casadi
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from flexfmu.model.beams import LINKS, fibre_strains
 from flexfmu.model.collocation import collocation
@@ -429,15 +428,6 @@ class Rest:
         accelerations = np.linalg.solve(self.mass, -np.concatenate([self.stiffness, self.damping], axis=2))
         rates = np.eye(accelerations.shape[2])[accelerations.shape[1] :]
         return np.concatenate([np.broadcast_to(rates, accelerations.shape), accelerations], axis=1)
-
-    def motion(self, first: float, step: float, count: int) -> RealArray:
-        """End effector (P, count, 2, 2, n) at equidistant times [s] of a free vibration by elastic coordinates and rates at its start."""
-        n, moved, steps = self.elastic.shape[1], expm(self.system * first), expm(self.system * step)
-        found = np.empty((len(moved), count, 2, 2 * n))
-        for k in range(count):
-            found[:, k] = self.displacement @ moved[:, :n]
-            moved = steps @ moved
-        return found.reshape(len(moved), count, 2, 2, n)
 
 
 class VariantModel:

@@ -102,7 +102,7 @@ class ResidualVibration:
     """
 
     def __init__(self, models: Sequence[VariantModel], end: RealArray, settled_within: float = 0.0) -> None:
-        self.rests, self._settled_within = [model.rest(end) for model in models], settled_within
+        self.rests = [model.rest(end) for model in models]
         # from elastic coordinates and their rates at the end: (P, 2, k, n)
         self.matrices = joined([_to_amplitudes(rest, settled_within) for rest in self.rests])
         self.holding = joined([rest.torque for rest in self.rests])
@@ -114,17 +114,6 @@ class ResidualVibration:
         away = end + self.error
         away[:, 0] -= self._rest
         return away
-
-    @cached_property
-    def _moved(self) -> RealArray:
-        """End effector at instants after the motion by elastic coordinates and rates at its end, (P, times, 2, 2, n)."""
-        step = 2.0 * math.pi / A_PERIOD / float(self.rests[0].modes[0][:, :2].max(initial=1.0))
-        return joined([rest.motion(self._settled_within, step, INSTANTS) for rest in self.rests])
-
-    def peaks(self, states: RealArray, robots: NDArray[np.intp]) -> RealArray:
-        """The largest displacements (C,) [m] after the motion by states (C, 2, n) of robots (C,)."""
-        places = np.einsum("ctxin,cin->ctx", self._moved[robots], states, optimize=True)
-        return np.asarray(np.linalg.norm(places, axis=2).max(axis=1))
 
 
 def bounds(matrices: RealArray, states: RealArray) -> RealArray:
@@ -204,10 +193,6 @@ def _to_amplitudes(rest: Rest, settled_within: float) -> RealArray:
     # from elastic coordinates to modal ones
     coordinates = np.linalg.inv(shapes)[:, :count] * size
     return np.stack([coordinates, coordinates / frequencies[:, :count, np.newaxis]], axis=1)
-
-
-INSTANTS, A_PERIOD = 200, 16
-"""Instants after the motion at which its vibration is examined, and how many of them the faster of the two lowest modes has in a period."""
 
 
 PRICES = 2.0, 500.0
@@ -556,9 +541,6 @@ class Stage:
         ways = tuple(way.state(motion, derivatives=derivatives) for way, motion in pairs)
         if len(ways) > 1 and (derivatives or renewed):
             self._left.renew([way.elastic.transfer(motion.duration) for way, motion in pairs])
-        return self._state(ways)
-
-    def _state(self, ways: tuple[WayState, ...]) -> State:
         loads = {name: self._load(name, ways) for name in self._limits}
         cost = sum(each.motion.duration for each in ways) / self.unit
         if efforts := [each.loads.integral(*each.way.effort) for each in ways if each.way.effort]:
@@ -576,16 +558,6 @@ class Stage:
         """Modal places and rates (C, 2, k, ...) [m] of all ways, by states at their ends (C, 2, n, ...)."""
         pairs = zip(self.ways, ends, strict=True)
         return np.concatenate([way.vibration.matrices[way.cases] @ each for way, each in pairs], axis=2)
-
-    def scaled(self, state: State) -> State:
-        """The state after the bounds of the vibration, sums over the modes, were scaled to the largest displacements that they bound there."""
-        for way, each, bound in zip(self.ways, self._ends(state.ways), state.bounds.T, strict=True):
-            factors = np.ones(len(way.vibration.matrices))
-            shares = way.vibration.peaks(each, way.cases) / np.maximum(bound, NO_VIBRATION)
-            factors[way.cases] = 0.0
-            np.maximum.at(factors, way.cases, np.clip(shares, *SCALED))
-            way.vibration.matrices *= factors[:, np.newaxis, np.newaxis, np.newaxis]
-        return self._state(state.ways)
 
     def _load(self, name: str, ways: Sequence[WayState]) -> tuple[RealArray, RealArray, RealArray]:
         """A load of the cycle relative to its limit (C, r), with derivatives by what the ways add and by the cycle's duration."""
@@ -767,9 +739,6 @@ JOINING, TIGHTER = 0.8, 1.04
 """Share of the allowed residual vibration from which on a variant between others joins them, and by how much its bound falls in a round, at
 most: those that join lower it too."""
 
-SCALED, NO_VIBRATION = (0.4, 1.5), 1e-12
-"""Largest changes of a bound by which it becomes the displacement that it bounds, and displacement [m] that is none."""
-
 PHASE, FINER = 2.5, 2
 """Phase [rad] of the faster of the two lowest modes of the lightest robot in a step of the coarse grid, at most, and how much finer the other grid is."""
 
@@ -809,7 +778,7 @@ def optimal_motion(
         penalty = max(PENALTY[0], min(4.0 * stage.penalty, 10.0))
     # all variants on the fine grid
     fine = Stage(problem, motions, FINER * parts, aim)
-    exact = fine.scaled(fine.state(motions, derivatives=False, renewed=True))
+    exact = fine.state(motions, derivatives=False, renewed=True)
     for _ in range(ROUNDS):
         # the worst variants join the nodes
         residuals = exact.bounds.max(axis=1)
@@ -821,11 +790,10 @@ def optimal_motion(
         for there, here in zip(exact.ways, coarse.ways, strict=True):
             robots = [there.way.robots.index(each) for each in here.way.robots]
             here.way.vibration.error = there.loads.response.end[robots] - here.loads.response.end
-            here.way.vibration.matrices = there.way.vibration.matrices[robots]
         before = motions
         for motions, violations in map(_improvement, stage.improvements(iterations, penalty)):
             yield motions, violations
-        exact = fine.scaled(fine.state(motions, derivatives=False, renewed=True))
+        exact = fine.state(motions, derivatives=False, renewed=True)
         missed = {name: each for name, each in exact.violations.items() if each > CHECKED[name]}
         yield _improvement(exact)
         # programmes that don't meet their limits by any step won't meet tighter ones
