@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,77 +91,74 @@ def find_twins(
         apart: operations that only become twins of each other.
     """
     pairing = _Pairing(graph, apart)
-    numbers = {node: k for k, node in enumerate(graph.nodes)}
+    numbers = {node: k for k, node in enumerate(graph.nodes) if node[0] == "INPUT"}
     for first, second in seeds:
         nodes = numbers.get(("INPUT", *first)), numbers.get(("INPUT", *second))
         if nodes[0] is not None and nodes[1] is not None:
             pairing.join(nodes[0], nodes[1])
 
     # twins whose other operands are the same, then those whose other operands differ
-    pairing.sweep(pairing.exact_tag)
-    while pairing.sweep(pairing.rough_tag) + pairing.sweep(pairing.exact_tag):
+    pairing.sweep(pairing.exact)
+    while pairing.sweep(pairing.rough) + pairing.sweep(pairing.exact):
         pass
     return pairing.twins
-
-
-_Tag = Callable[[int, bool], tuple[Any, ...]]
 
 
 class _Pairing:
     """Twins found so far.
 
     Only nodes of the same level, the longest way from the arguments, become twins, so that none needs the other.
+
+    Attributes:
+        twins: node → both parts.
+        exact: what each node is as an operand: a part of certain twins, an even number from the size of the graph on for the first
+            and the odd one behind it for the second, or a certain node that both share.
+        rough: the same, or any leaf or any operation.
     """
 
     def __init__(self, graph: Graph, apart: Set[int]) -> None:
         self.twins: dict[int, tuple[int, int]] = {}
-        self._graph, self._apart = graph, apart
-        self._levels: list[int] = []
-        for k, node in enumerate(graph.nodes):
+        self._single: list[tuple[int, tuple[str, int, bool], tuple[int, ...]]] = []  # operations that are no twins yet
+        levels = list[int]()
+        for k, (name, *operands) in enumerate(graph.nodes):
             # a change of sign, which only one of two parts may have, counts for nothing
-            height = max((self._levels[i] for i in graph.operands(k)), default=0)
-            self._levels.append(height if graph.is_leaf(k) or node[0] == "NEG" else height + 1)
-        self._operations = [k for k, node in enumerate(graph.nodes) if node[0] in OPERATIONS]
+            height = 0 if graph.is_leaf(k) else max((levels[i] for i in operands), default=0)
+            levels.append(height if graph.is_leaf(k) or name == "NEG" else height + 1)
+            if name in OPERATIONS:
+                self._single.append((k, (name, levels[k], k in apart), tuple(operands)))
+        self.exact = list(range(len(graph.nodes)))
+        self.rough = [-1 - graph.is_leaf(k) for k in self.exact]
+        self._base = 2 * len(graph.nodes)
 
     def join(self, first: int, second: int) -> None:
         """Make twins of two nodes."""
-        self.twins[first] = self.twins[second] = (first, second)
+        for part, node in enumerate((first, second)):
+            self.twins[node] = (first, second)
+            self.exact[node] = self.rough[node] = self._base + 2 * first + part
 
-    def exact_tag(self, node: int, is_mirrored: bool) -> tuple[Any, ...]:
-        """What an operand is: a part of certain twins, or a certain node that both share."""
-        if node not in self.twins:
-            return ("node", node, 0)
-        twins = self.twins[node]
-        return ("twins", twins[0], (node == twins[1]) ^ is_mirrored)
-
-    def rough_tag(self, node: int, is_mirrored: bool) -> tuple[Any, ...]:
-        """What an operand is: a part of certain twins, any leaf or any operation."""
-        return self.exact_tag(node, is_mirrored) if node in self.twins else ("node", -1 - self._graph.is_leaf(node), 0)
-
-    def sweep(self, tag: _Tag) -> int:
-        """Join the nodes whose operands mirror each other; how many twins these are."""
+    def sweep(self, tags: Sequence[int]) -> int:
+        """Join the nodes whose operands mirror each other, as ``exact`` or ``rough`` has them; how many twins these are."""
         waiting: dict[Any, list[int]] = defaultdict(list)
-        found = 0
-        for k in self._operations:
-            # without twins among the operands, both keys are the same
-            if k in self.twins or self.twins.keys().isdisjoint(self._graph.nodes[k][1:]):
+        found, base = 0, self._base
+        for k, kind, operands in self._single:
+            own = [tags[i] for i in operands]
+            if max(own) < base:
                 continue
-            key, mirrored = self._key(k, tag, False), self._key(k, tag, True)
-            if key == mirrored:
+            mirrored = [tag ^ 1 if tag >= base else tag for tag in own]
+            if kind[0] in COMMUTATIVE:
+                own.sort()
+                mirrored.sort()
+            if own == mirrored:
                 continue
-            if others := waiting[mirrored]:
+            if others := waiting[kind, *mirrored]:
                 # the first part is the one with the first part of the first twins among the operands
-                is_second = next(part for kind, _, part in key[2] if kind == "twins")
+                is_second = next(tag & 1 for tag in own if tag >= base)
                 self.join(*((others.pop(0), k) if is_second else (k, others.pop(0))))
                 found += 1
             else:
-                waiting[key].append(k)
+                waiting[kind, *own].append(k)
+        self._single = [each for each in self._single if each[0] not in self.twins]
         return found
-
-    def _key(self, node: int, tag: _Tag, is_mirrored: bool) -> tuple[Any, ...]:
-        name, *operands = self._graph.nodes[node]
-        tags = [tag(i, is_mirrored) for i in operands]
-        return name, self._levels[node], tuple(sorted(tags) if name in COMMUTATIVE else tags), node in self._apart
 
 
 OPERATIONS = {
