@@ -9,6 +9,7 @@ Hindmarsh et al., SUNDIALS, ACM Trans. Math. Softw. 31 (2005).
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -52,8 +53,10 @@ SOURCE = f"peers/{content_hash([PACKAGE.encode(), FILE.encode()])}.f"
 FLAGS = ("-O3", "-march=native", "-fPIC", "-w")
 """For everything that is compiled, ours too."""
 
-UNCALLED = ("model_motion", "model_start_forward", "lanes")
-"""Parts of the names of the FMU's files that peers don't call, and that needn't be fast."""
+CALLED = re.compile(
+    r"peer|elementary|(inputs|equations|linear_algebra|plant|model_(derive|residual|mass_matrix|outputs))\.c"
+)
+"""In the names of files that peers call; the others needn't be fast."""
 
 LIBRARIES = ("-lsundials_ida", "-lsundials_arkode", "-lsundials_nvecserial", "-lsundials_sunlinsoldense", "-lm")
 
@@ -217,8 +220,8 @@ def _library(scene: Scene) -> CDLL:
         for file, text in texts.items():
             (Path(folder) / file).write_text(text, encoding="utf-8")
         files = sorted(file for file in texts if file.endswith(".c"))
-        for optimisation, uncalled in (([], False), (["-O0"], True)):
-            chosen = [file for file in files if any(part in file for part in UNCALLED) is uncalled]
+        for optimisation, is_called in (([], True), (["-O0"], False)):
+            chosen = [file for file in files if bool(CALLED.search(file)) is is_called]
             flags = [*COMMON_FLAGS, *FLAGS, *defines, "-ffp-contract=fast", *optimisation]
             _call([*compiler.command, *flags, "-c", *chosen], folder)
         objects = [f"{Path(file).stem}.o" for file in files]
