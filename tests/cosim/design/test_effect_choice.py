@@ -31,6 +31,7 @@ from flexfmu.model.plants import build_model
 from flexfmu.model.scene.effects import FamilyName
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.selection import response
 
 ROOT = Path(__file__).parents[3]
 OPEN = load_scene(ROOT / "examples" / "effects_auto.toml")
@@ -106,11 +107,12 @@ class Pretended:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, scene: Scene) -> None:
         self.scene, self.estimators, self.factor, self.unforeseen = scene, dict[str, Estimator](), 1.0, 0.0
+        monkeypatch.setattr(response, "STEPS", 500)
         self.estimator = Estimator(
             scene, plan(scene).joints, ("peak_torque_1",), one_more(richest(scene), get_args(FamilyName))
         )
         monkeypatch.setattr(SceneRuns, "_observed", self.observed)
-        # equal robots and estimates are made once, also by several choices
+        # estimates judge themselves here, for which few instants do; equal robots and estimates are made once, also by several choices
         robot, solution, made = estimator.LinearizedMotion, Estimator._solution, dict[object, Any]()
 
         def kept(key: object, make: Callable[[], Any]) -> Any:
