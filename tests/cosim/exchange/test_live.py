@@ -35,7 +35,6 @@ from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.metrics.motors import motor_loads
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection import response
 
 pytestmark = pytest.mark.slow
 
@@ -216,9 +215,8 @@ COPIED: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.slow
-def test_a_copied_command_has_the_chosen_effects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_copied_command_has_the_chosen_effects(tmp_path: Path) -> None:
     """Without the account of the choice, which is longer than all else; and the tolerance that the choice filled in."""
-    monkeypatch.setattr(response, "STEPS", 500)  # estimates on few instants choose some effects, too
     auto = {"gravity": [0.0, -9.81], "select": "auto", "tolerance": 0.05, "of": ["peak_torque_1"]}
     path = write_changed("barnard2012-6kg", tmp_path / "auto.toml", {"effects": auto, "cosimulation": {"step": 2e-4}})
     run = flexfmu.run(path)
