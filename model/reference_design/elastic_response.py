@@ -69,7 +69,7 @@ class Response:
         torque: motor torques (P, N, 2) [N m].
         end: elastic coordinates and their rates at the end of the motion (P, 2, n) [m, m/s].
         position_by, torque_by: derivatives (P, N, 2, m), stored in single precision; m is 0 where none are wanted.
-        end_by: derivatives (P, 2, n, m).
+        end_by: derivatives (P, 2, n, m), in single precision too.
         loads, loads_by: the further outputs (P, N, r) that were asked for, and their derivatives (P, N, r, m), as these.
         references, references_by: angles, speeds and accelerations of the joints (3, N, 2) [rad, rad/s, rad/s²] that it responds to, and
             their derivatives (N, 6, m).

@@ -65,7 +65,7 @@ STARTS = (0.65, 0.5, 0.8)
 
 RESERVE = 0.9995, 0.8, 1.04
 """Shares of the limits of torque, clearance and residual that motions use; the FMU judges the rest. The sum over the modes, which bounds the residual
-vibration, is 5 to 40 % above it."""
+vibration, is 5 to 45 % above it."""
 
 NEARLY = 0.03
 """Violation of the limits up to which a motion is worth correcting; beyond it the next start is tried."""
