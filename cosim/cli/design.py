@@ -684,12 +684,13 @@ def plan(
     if result.interrupted:
         cause = f"the budget of {budget:g} s is spent" if is_spent else "interrupted"
         console.show_note(f"{cause}: this is the best motion so far" if files else cause)
+    if not files:
+        console.show_note(f"{folder} keeps the motion of an earlier plan, which isn't worse: no file is written")
     names = [str(path) for path in files]
-    kept = [f"{folder} keeps the motion of an earlier plan, which isn't worse: nothing is written."]
     console.print_result(
         json,
         {**data, "files": names},
-        *(_shown_plan(result) if files else kept),
+        *(_shown_plan(result) if files else []),
         *([] if table is None else [_shown_drive(table)]),
         f"results: {', '.join(names) or folder}",
     )

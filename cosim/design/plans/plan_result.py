@@ -427,7 +427,8 @@ def write_plan(result: PlanResult, folder: Path) -> list[Path]:
 
     Returns:
         The files: ``planned.toml`` (with ``planned.csv`` for a motion of the joints), ``front.csv``, ``plan.json`` and
-        ``plan.html``. None if the plan was interrupted, and the folder has a motion as good for the same scene and wishes, which stays.
+        ``plan.html``. None if the plan was interrupted, and the folder has a motion that misses limits less, or for the same scene and
+        wishes one as good: it stays.
 
     Raises:
         ResultsError: a file can't be written.
@@ -449,11 +450,11 @@ def write_plan(result: PlanResult, folder: Path) -> list[Path]:
 
 
 def _standing(folder: Path, result: PlanResult) -> tuple[float, float]:
-    """The excess over limits, and what is minimised, of the motion that a folder has for the same scene and wishes; infinite for none."""
+    """The excess over limits of the motion that a folder has, and what is minimised if it is for the same scene and wishes; infinite for none."""
     with contextlib.suppress(OSError, ValueError, LookupError, TypeError):
         there = json.loads((folder / "plan.json").read_text())
-        if there["work"] == _work(result.goals):
-            return float(there["chosen"]["excess"]), float(there["chosen"][result.goals.wishes.minimise])
+        is_same, chosen = there["work"] == _work(result.goals), there["chosen"]
+        return float(chosen["excess"]), float(chosen[result.goals.wishes.minimise]) if is_same else math.inf
     return math.inf, math.inf
 
 

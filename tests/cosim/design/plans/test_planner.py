@@ -299,8 +299,11 @@ def test_an_interrupted_plan_leaves_a_better_one_and_no_file_is_of_another(resul
         assert sorted(path.name for path in write_plan(found, tmp_path)) == sorted(written)
         there = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
         assert there == before if not written else sorted(there) == sorted(["notes.toml", *written])
-    wider = replace(poor, goals=replace(GOALS, scene=GOALS.scene.replace({"plan.margin": 2e-3})))
-    assert write_plan(wider, tmp_path)
+    other = replace(GOALS, scene=GOALS.scene.replace({"plan.margin": 2e-3}))
+    # of other wishes only one that keeps its limits takes the place of one that does
+    assert not write_plan(replace(poor, goals=other), tmp_path)
+    assert write_plan(replace(result, goals=other, interrupted=True), tmp_path)
+    assert write_plan(replace(poor, interrupted=False), tmp_path)
     assert not (tmp_path / "planned.csv").exists()
 
 
