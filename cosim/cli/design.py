@@ -642,10 +642,8 @@ def plan(
     before = [] if warm_start is None else planned_scenes(warm_start)
     folder = out or console.usual_folder(robot.name, settings, "-plan")
     console.prepared_folder(folder)
-    journal, started = (
-        WorkJournal(folder, "plan", about_plan(robot, before), restart=restart, note=console.show_note),
-        monotonic(),
-    )
+    journal = WorkJournal(folder, "plan", about_plan(robot, before), restart=restart, note=console.show_note)
+    started = monotonic()
     with console.progress() as show:
         result = plan_scene(
             robot,

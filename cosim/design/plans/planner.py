@@ -17,14 +17,7 @@ from typing import Any
 import numpy as np
 
 from flexfmu.cosim.design.plans.assessment import Assessment, Candidate, Judge, noted
-from flexfmu.cosim.design.plans.goals import (
-    Goals,
-    Variation,
-    check_holding_torque,
-    checked_goals,
-    goals_of,
-    judged_scene,
-)
+from flexfmu.cosim.design.plans.goals import Goals, Variation, check_holding_torque, checked_goals, judged_scene
 from flexfmu.cosim.design.plans.optimal import flexible, optimal
 from flexfmu.cosim.design.plans.plan_result import PlanResult, RobustnessLine
 from flexfmu.cosim.design.plans.sampled_loop import joint_motion, left_in_loop, with_learned_torques
@@ -296,9 +289,9 @@ def _assessed(
     name: str, fixed: Candidate, goals: Goals, changes: Mapping[str, Any], stiffness: float, damping: float
 ) -> RobustnessLine:
     """The line of another model of the robot."""
-    scene = goals.scene.replace({**changes})
-    of_model = goals_of(Variation(scene.payload.mass, stiffness, damping).of(scene))
-    judge = Judge(replace(of_model, regions=goals.clearance), PAYLOADS, NOWHERE, *ACCURACY)
+    scene = Variation(goals.scene.payload.mass, stiffness, damping).of(goals.scene.replace({**changes}))
+    of_model = replace(goals, scene=scene, loop=None, regions=goals.clearance)
+    judge = Judge(of_model, PAYLOADS, NOWHERE, *ACCURACY)
     robot = {key: getattr(judge.goals.scene, key) for key in ("mechanism", "effects", "payload")}
     return _line(name, judge.assess(replace(fixed, scene=fixed.scene.model_copy(update=robot))))
 

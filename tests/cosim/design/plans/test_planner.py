@@ -289,6 +289,30 @@ def test_judged_figures_are_those_of_much_finer_runs(seed: int, monkeypatch: pyt
         assert found.values[name] == pytest.approx(values, rel=rounding, abs=1e-9), name
 
 
+def test_other_models_are_judged_over_the_dwell_of_the_scene_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A model without changes misses the RMS torque as the planned one does; over the dwell of the judging runs it would be kept."""
+    candidate, goals = (
+        stretched(0.95),
+        goals_of(SCENE.replace({"trajectory.dwell": 0.0, "plan.limits.rms_torque": {"ratio": 1.0}})),
+    )
+    candidate = replace(candidate, scene=goals.scene)
+
+    def ratio(pause: float) -> float:
+        uses = Judge(replace(goals, pause=pause), planner.PAYLOADS).assess(candidate).uses
+        return next(use.value for use in uses if use.figure == "rms_torque")
+
+    own, longer = ratio(0.0), ratio(goals.scene.trajectory.dwell)
+    assert longer < 0.999 * own
+    limit = {"rms_torque": replace(goals.limits["rms_torque"], limit=0.5 * (own + longer))}
+    goals = replace(goals, limits={**goals.limits, **limit})
+    monkeypatch.setattr(planner, "RICHER", {"the same": {}})
+    monkeypatch.setattr(planner, "BANDS", {})
+    monkeypatch.setattr(planner, "LOOPS", {})
+    lines = {line.model: line.missed or () for line in robustness(candidate, goals)}
+    assert "rms_torque ratio" in lines["planned model"]
+    assert "rms_torque ratio" in lines["the same"]
+
+
 def test_an_interrupted_plan_leaves_a_better_one_and_no_file_is_of_another(result: PlanResult, tmp_path: Path) -> None:
     """With the same scene and wishes; otherwise, or if it is better, it takes its place, and what isn't its own goes."""
     poor = replace(result, chosen=result.given, interrupted=True)
