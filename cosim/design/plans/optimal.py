@@ -287,7 +287,7 @@ def _front(
     for number, shares in enumerate(grid):
         factors = {name: natural[name] * share for name, share in zip(axes, shares, strict=True)}
         excess = {name: 1.0 / factor for name, factor in factors.items()}
-        label = f"{'front' if figures else 'least residual'}, {number + 1} of {len(grid)}"
+        label = f"{'front, level' if figures else 'least residual,'} {number + 1} of {len(grid)}"
         level = replace(improver, made=partial(_candidate, goals, label), near=NEAR_FRONT, tries=3)
         if last is None:
             motions, starts, loose = [way.start for way in units.ways], _shares(goals, given), optimal_control.LOOSE
