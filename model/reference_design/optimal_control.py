@@ -1,8 +1,8 @@
 """Optimal joint references of one motion or of a cycle, within limits that hold for several variants of a robot, by sequential convex
 programming.
 
-The first stage has few variants and a loose bound on the residual vibration, all others more variants and the bound that is wanted. Before each of
-these all variants are evaluated on a finer grid: its end state corrects that of the coarse one, the worst variants join the others, and
+The first stage has few variants and a loose bound on the residual vibration. Later stages have more variants and the wanted bound. Before each of
+them all variants are evaluated on a finer grid: its end state corrects that of the coarse one, the worst variants join the others, and
 what still lies between them tightens the limits.
 
 The elastic motion is eliminated: `ElasticResponse` gives torques, end effector and end state of all variants with exact

@@ -42,10 +42,10 @@ Method = Literal["given", "search", "flexible references", "optimal control", "c
 """Where a candidate comes from."""
 
 STEP, TOLERANCE = 4e-4, 1e-8
-"""Communication step [s] and tolerance of the runs that judge; where they are worst is looked for at the middle of steps too."""
+"""Communication step [s] and tolerance of the runs that judge; largest torques, depths and distances are looked for at the middle of steps too."""
 
 WITHIN = 5
-"""Instants of a step, with both ends, among which the largest force in a joint is found: as for stresses."""
+"""Instants of a step, both ends included, among which the largest force in a joint is found; stresses have as many."""
 
 SAME_PLACE = 1e-5
 """Distance [m] within which a user's motion starts and ends where the scene's does."""

@@ -64,8 +64,8 @@ STARTS = (0.65, 0.5, 0.8)
 """Durations of the first motions where it is free, relative to the given one: the next serves where the one before finds nothing."""
 
 RESERVE = 0.9995, 0.8, 1.04
-"""Shares of the limits of torque, clearance and residual that motions use; the FMU judges the rest. The sum over the modes, which bounds the residual
-vibration, is 5 to 45 % above it."""
+"""Shares of the limits of torque, clearance and residual that motions use; the FMU judges the rest. The residual vibration is bounded by a sum over
+the modes, which is 5 to 45 % too large."""
 
 NEARLY = 0.03
 """Violation of the limits up to which a motion is worth correcting; beyond it the next start is tried."""
@@ -75,7 +75,7 @@ TRIES, SURE, SLOWER = 5, 1.02, 1.05
 start, if it exceeds one by more: a slower one has room to reach the limits."""
 
 FEWER, NEAR_LIMITS = 0.9, 1.1
-"""Share of the excess before to which a correction lowers it where another one is worthwhile, and the excess up to which one always is."""
+"""Another correction follows where the last one lowered the excess to at most this share, or where the excess is at most this large."""
 
 ACTIVE, FULL, FULL_RESIDUAL = 0.98, 0.999, 0.85
 """Share of a limit from which on it is active, and shares of limits and of the residual vibration that motions may use."""
@@ -239,7 +239,7 @@ class Improver(Generic[Motion]):
             if not is_near:
                 break
             judged = self.judge.assess(candidate)
-            # what hardly falls with the limits, as what a loop leaves by itself
+            # tighter limits hardly help: a loop leaves something by itself, for example
             is_stuck = last is not None and judged.excess > max(NEAR_LIMITS, FEWER * last[1].excess)
             last, factors = (motions, judged), corrections(judged)
             if is_stuck or not factors or (judged.feasible and not (gives_back and is_free)):

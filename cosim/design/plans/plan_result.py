@@ -56,7 +56,7 @@ FILE = "planned.toml"
 """Usual name of the planned scene."""
 
 OF_PLANS = re.compile(r"(planned(-\d+)?|front-\d+(-\d+)?)\.(toml|csv)|live\.html")
-"""Names of files that a plan may leave beside those that each one writes."""
+"""Names of files that not every plan writes."""
 
 NAMES, COLOURS = ("given", "planned"), (PALETTE[0], PALETTE[1])
 """Of the two motions."""
@@ -427,8 +427,8 @@ def write_plan(result: PlanResult, folder: Path) -> list[Path]:
 
     Returns:
         The files: ``planned.toml`` (with ``planned.csv`` for a motion of the joints), ``front.csv``, ``plan.json`` and
-        ``plan.html``. None if the plan was interrupted, and the folder has a motion that misses limits less, or for the same scene and
-        wishes one as good: it stays.
+        ``plan.html``. The list is empty if the plan was interrupted and the folder's motion stays, since it misses limits less, or is as
+        good for the same scene and wishes.
 
     Raises:
         ResultsError: a file can't be written.
